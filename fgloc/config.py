@@ -1,0 +1,175 @@
+"""Configuration of a run: TOML in, a validated model out, all faults named at once."""
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fgloc.errors import ConfigError
+
+M = TypeVar("M", bound=BaseModel)
+Mode = Literal["batch", "incremental", "fixed-lag"]
+
+
+class Section(BaseModel):
+    """A group of settings; unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class GnssConfig(Section):
+    """How GNSS fixes enter the graph."""
+
+    loss: Literal["none", "huber", "cauchy"] = "huber"
+    """Robust loss on the whitened position error."""
+    loss_width: float = Field(default=3.4, gt=0)
+    """Whitened norm at which the loss leaves the parabola; 3.4 holds 99 % of three-dimensional
+    Gaussian errors."""
+    gate_probability: float = Field(default=0.999999, gt=0, le=1)
+    """A fix is gated where its NIS exceeds this quantile of chi-square; 1 switches the gate off."""
+    gate_reset_s: float = Field(default=5.0, gt=0)
+    """After this long without an accepted fix the gate opens, or it would never recover."""
+    sigma_scale: float = Field(default=1.0, gt=0)
+    """Factor on every fix's standard deviation."""
+    bias_sigma_m: float = Field(default=0.0, ge=0)
+    """Stationary standard deviation per axis of a slowly varying position bias; 0 leaves it out."""
+    bias_tau_s: float = Field(default=60.0, gt=0)
+    """Time constant of that bias."""
+
+
+class ImuConfig(Section):
+    """IMU settings; noise left out is taken from the drive's rig."""
+
+    accel_noise_mps2_per_sqrt_hz: float | None = Field(default=None, gt=0)
+    gyro_noise_radps_per_sqrt_hz: float | None = Field(default=None, gt=0)
+    accel_bias_walk_mps3_per_sqrt_hz: float | None = Field(default=None, gt=0)
+    gyro_bias_walk_radps2_per_sqrt_hz: float | None = Field(default=None, gt=0)
+    accel_bias_sigma_mps2: float | None = Field(default=None, gt=0)
+    gyro_bias_sigma_radps: float | None = Field(default=None, gt=0)
+    gravity_mps2: float | None = Field(default=None, gt=9.7, lt=9.9)
+    """Default: normal gravity at the drive's origin."""
+    bias_interval_s: float = Field(default=1.0, gt=0)
+    """A new bias variable at the first keyframe this long after the last one."""
+    gap_s: float = Field(default=0.2, gt=0)
+    """Samples further apart than this are a gap, which is bridged and reported."""
+    gap_accel_mps2: float = Field(default=3.0, gt=0)
+    """Unknown acceleration in a gap: density of its white noise, m/s^2 per sqrt(Hz)."""
+    gap_gyro_radps: float = Field(default=0.3, gt=0)
+    """Unknown turn rate in a gap: density of its white noise, rad/s per sqrt(Hz)."""
+
+
+class SolverConfig(Section):
+    """Settings of the solvers."""
+
+    factorization: Literal["cholesky", "qr"] = "cholesky"
+    """Of iSAM2; a Cholesky that fails is repeated with QR."""
+    relinearize_threshold: float = Field(default=0.1, gt=0)
+    max_iterations: int = Field(default=50, gt=0)
+    relative_tolerance: float = Field(default=1e-9, gt=0)
+
+
+class SmoothConfig(Section):
+    """Everything that `fgloc smooth` can be told."""
+
+    mode: Mode = "batch"
+    lag_s: float = Field(default=5.0, gt=0)
+    smoothed: bool = False
+    """Causal modes: also give the last estimate of every state."""
+    keyframe_interval_s: float = Field(default=1.0, gt=0)
+    """Longest time between two states of the graph; every aiding measurement gets its own."""
+    output_interval_s: float = Field(default=0.25, gt=0)
+    """Longest time between two states of the written trajectory."""
+    seed: int | None = None
+    """Kept with the results of simulated drives; the smoother itself draws nothing."""
+    gnss: GnssConfig = GnssConfig()
+    imu: ImuConfig = ImuConfig()
+    solver: SolverConfig = SolverConfig()
+
+
+def load_config(
+    path: Path | None = None,
+    settings: Iterable[str] = (),
+    base: SmoothConfig | None = None,
+    **overrides: Any,
+) -> SmoothConfig:
+    """The configuration of a TOML file, changed by `key=value` settings and by overrides.
+
+    Dotted keys reach into sections: `gnss.loss=none`. Overrides that are None are passed over.
+    Raises ConfigError that names every unknown key (with the nearest valid one) and every value
+    that does not fit.
+    """
+    values: dict[str, Any] = base.model_dump() if base else {}
+    where = "configuration"
+    if path is not None:
+        where = str(path)
+        values = merge(values, _read(path))
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        if not equals:
+            raise ConfigError(f"--set {setting}: expected key=value, e.g. gnss.loss=none")
+        values = merge(values, _nested(key.strip().split("."), _parse_value(text.strip())))
+    values = merge(values, {key: value for key, value in overrides.items() if value is not None})
+    return validate(SmoothConfig, values, where)
+
+
+def validate(model: type[M], values: Mapping[str, Any], where: str) -> M:
+    """`model` made from plain values; ConfigError with one line per fault otherwise."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as err:
+        faults = [_describe(model, fault) for fault in err.errors()]
+        raise ConfigError(f"{where}: " + "; ".join(faults)) from err
+
+
+def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with `update` laid over it, section by section."""
+    result = dict(base)
+    for key, value in update.items():
+        old = result.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        result[key] = merge(old, value) if both else value  # type: ignore[arg-type]
+    return result
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as err:
+        raise ConfigError(f"{path}: no such file") from err
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
+        raise ConfigError(f"{path}: not valid TOML: {err}") from err
+
+
+def _nested(keys: list[str], value: Any) -> dict[str, Any]:
+    return {keys[0]: _nested(keys[1:], value) if len(keys) > 1 else value}
+
+
+def _parse_value(text: str) -> Any:
+    """TOML's reading of a value, or the text itself: `--set mode=batch` needs no quotes."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _describe(model: type[BaseModel], fault: Any) -> str:
+    keys = [str(part) for part in fault["loc"]]
+    dotted = ".".join(keys)
+    if fault["type"] != "extra_forbidden":
+        return f"{dotted} = {fault.get('input')!r}: {fault['msg']}"
+    valid = _fields_at(model, keys[:-1])
+    near = difflib.get_close_matches(keys[-1], valid, n=1, cutoff=0.0)
+    prefix = ".".join(keys[:-1])
+    best = f"{prefix}.{near[0]}" if prefix and near else (near[0] if near else "")
+    return f"unknown key {dotted!r}; the nearest valid key is {best!r}"
+
+
+def _fields_at(model: type[BaseModel], keys: list[str]) -> list[str]:
+    for key in keys:
+        annotation = model.model_fields[key].annotation
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            model = annotation
+    return list(model.model_fields)

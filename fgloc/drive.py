@@ -1,0 +1,109 @@
+"""A drive: the rig, the tables it recorded, and the truth if there is any."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Self, TypeVar
+
+import numpy as np
+
+from fgloc.errors import DriveError
+from fgloc.frames import Origin
+from fgloc.measurements import Array, GnssFixes, ImuSamples, Table, freeze
+from fgloc.trajectory import Trajectory
+
+T = TypeVar("T", bound=Table)
+
+
+@dataclass(frozen=True)
+class ImuNoise:
+    """Continuous-time noise of an IMU; the same on all three axes.
+
+    The walks drive the biases; the sigmas say how far a bias may be from zero at the start.
+    A first-order Gauss-Markov bias of sigma s and time constant tau has a walk of s sqrt(2 / tau)
+    over times short against tau.
+    """
+
+    accel_noise_mps2_per_sqrt_hz: float
+    gyro_noise_radps_per_sqrt_hz: float
+    accel_bias_walk_mps3_per_sqrt_hz: float
+    gyro_bias_walk_radps2_per_sqrt_hz: float
+    accel_bias_sigma_mps2: float = 0.3
+    gyro_bias_sigma_radps: float = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Where the sensors sit on the vehicle, and how noisy they are.
+
+    p_veh_ant_m  (3,) GNSS antenna in the vehicle frame, m
+    T_veh_imu    (4, 4) IMU axes and place in the vehicle frame, m
+    imu_noise    or None where the drive has no IMU
+    """
+
+    p_veh_ant_m: Array = field(default_factory=lambda: np.zeros(3))
+    T_veh_imu: Array = field(default_factory=lambda: np.eye(4))
+    imu_noise: ImuNoise | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "p_veh_ant_m", freeze(self.p_veh_ant_m))
+        object.__setattr__(self, "T_veh_imu", freeze(self.T_veh_imu))
+        R = self.T_veh_imu[:3, :3]
+        if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+            raise DriveError("rig.T_veh_imu: the upper left 3x3 block is not a rotation matrix")
+
+
+@dataclass(frozen=True)
+class About:
+    """What people should know of a drive: a line of description, licence, origin of the data."""
+
+    title: str = ""
+    licence: str = ""
+    source: str = ""
+    simulated: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One recorded or simulated drive; `tables` maps the source's name to its table."""
+
+    name: str
+    origin: Origin
+    rig: Rig
+    tables: Mapping[str, Table]
+    truth: Trajectory | None = None
+    about: About = About()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tables", MappingProxyType(dict(self.tables)))
+
+    @property
+    def gnss(self) -> GnssFixes:
+        """The GNSS fixes; raises DriveError where the drive has none."""
+        return self._table("gnss", GnssFixes)
+
+    @property
+    def imu(self) -> ImuSamples:
+        """The IMU samples; raises DriveError where the drive has none."""
+        return self._table("imu", ImuSamples)
+
+    @property
+    def start_ns(self) -> int:
+        """The first instant of any table."""
+        return min(int(t.t_ns[0]) for t in self.tables.values() if len(t))
+
+    @property
+    def end_ns(self) -> int:
+        """The last instant of any table."""
+        return max(int(t.t_ns[-1]) for t in self.tables.values() if len(t))
+
+    def with_tables(self, **tables: Table) -> Self:
+        """The same drive with some tables replaced or added."""
+        return replace(self, tables={**self.tables, **tables})
+
+    def _table(self, name: str, kind: type[T]) -> T:
+        table = self.tables.get(name)
+        if not isinstance(table, kind) or len(table) == 0:
+            have = ", ".join(self.tables) or "nothing"
+            raise DriveError(f"drive {self.name!r} has no {name} rows (it has {have})")
+        return table

@@ -1,0 +1,117 @@
+"""The tables in which measurements travel: read-only columnar arrays with a time axis.
+
+Every table has `t_ns` (N,), when a measurement was true, and `received_ns` (N,), when it arrived.
+Rows are in the order of `t_ns`. A row is named by its index, counted from 0, in verdicts and errors.
+"""
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgloc.errors import DriveError
+from fgloc.timing import Instants
+
+Array = NDArray[np.float64]
+
+
+def freeze(array: Any, dtype: type = np.float64) -> NDArray[Any]:
+    """A read-only array; a writable input is copied, so that nobody else can change it."""
+    result = np.asarray(array, dtype)
+    if result.flags.writeable:
+        result = result.copy()
+        result.flags.writeable = False
+    return result
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """What all tables share. Subclasses add arrays whose first axis is time.
+
+    `SHAPES` gives the trailing shape of each column. Raises DriveError where lengths or shapes
+    do not fit or `t_ns` goes back.
+    """
+
+    t_ns: Instants
+    received_ns: Instants
+
+    KIND: ClassVar[str]
+    SHAPES: ClassVar[dict[str, tuple[int, ...]]]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            is_time = field.name in ("t_ns", "received_ns")
+            column = freeze(getattr(self, field.name), np.int64 if is_time else np.float64)
+            expected = (len(self.t_ns), *self.SHAPES.get(field.name, ()))
+            if column.shape != expected:
+                raise DriveError(
+                    f"{self.KIND}.{field.name} has shape {column.shape}, expected {expected}"
+                )
+            object.__setattr__(self, field.name, column)
+        back = np.flatnonzero(np.diff(self.t_ns) < 0)
+        if len(back):
+            row = int(back[0]) + 1
+            by_ns = int(self.t_ns[row - 1] - self.t_ns[row])
+            raise DriveError(
+                f"{self.KIND} row {row}: t_ns goes back by {by_ns} ns; rows must be in time order"
+            )
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def take(self, index: Any) -> Self:
+        """The rows that a slice, mask or index array selects, as a table of the same kind."""
+        return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    def same_as(self, other: object) -> bool:
+        """Whether both are of one kind and equal in every bit (NaN equals NaN)."""
+        return type(self) is type(other) and all(
+            np.array_equal(a := getattr(self, f.name), getattr(other, f.name),
+                           equal_nan=a.dtype.kind == "f")
+            for f in fields(self)
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class GnssFixes(Table):
+    """Antenna positions: ENU m (N, 3), covariance ENU m^2 (N, 3, 3), velocity ENU m/s (N, 3).
+
+    The velocity is NaN where the receiver gave none.
+    """
+
+    p_world_ant_m: Array
+    cov_world_m2: Array
+    v_world_mps: Array
+
+    KIND = "gnss"
+    SHAPES: ClassVar = {"p_world_ant_m": (3,), "cov_world_m2": (3, 3), "v_world_mps": (3,)}
+
+
+@dataclass(frozen=True, eq=False)
+class ImuSamples(Table):
+    """Specific force m/s^2 (N, 3) and angular rate rad/s (N, 3) in the IMU's own axes.
+
+    An IMU at rest and level, z up, reads about +9.81 m/s^2 on z.
+    """
+
+    accel_mps2: Array
+    gyro_radps: Array
+
+    KIND = "imu"
+    SHAPES: ClassVar = {"accel_mps2": (3,), "gyro_radps": (3,)}
+
+
+@dataclass(frozen=True, eq=False)
+class WheelSpeeds(Table):
+    """Speed over ground of the vehicle origin along x, m/s (N,), with its sigma in m/s (N,)."""
+
+    speed_mps: Array
+    sigma_mps: Array
+
+    KIND = "wheel"
+    SHAPES: ClassVar = {"speed_mps": (), "sigma_mps": ()}
+
+
+TABLES: dict[str, type[Table]] = {cls.KIND: cls for cls in (GnssFixes, ImuSamples, WheelSpeeds)}
+"""Every kind of table by its name, which is also the name of its source in a drive."""

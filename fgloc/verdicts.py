@@ -1,0 +1,78 @@
+"""What became of every measurement: one row each, so that the totals equal what was read."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgloc.measurements import Array, Table
+from fgloc.timing import Instants
+
+
+class Verdict(StrEnum):
+    """The possible fates of a measurement."""
+
+    USED = "used"
+    DOWN_WEIGHTED = "down-weighted"
+    GATED = "gated"
+    LATE = "late"
+    DUPLICATE = "duplicate"
+    INVALID = "invalid"
+    OUTSIDE = "outside"
+    UNUSED = "unused"
+
+
+@dataclass(eq=False)
+class SourceVerdicts:
+    """The verdicts on one source's table, row by row; estimators fill it in place.
+
+    nis        (N,) normalised innovation squared: of the measurement against what was known
+               without it (causal runs: before it; batch: all others). NaN where not computed
+    dof        (N,) its degrees of freedom, 0 where not computed
+    threshold  (N,) the gate in force, NaN where there was none
+    """
+
+    source: str
+    t_ns: Instants
+    received_ns: Instants
+    verdict: NDArray[Any]
+    nis: Array
+    dof: NDArray[np.int64]
+    threshold: Array
+    reason: NDArray[Any]
+
+    @classmethod
+    def of(
+        cls, source: str, table: Table, verdict: Verdict = Verdict.UNUSED, reason: str = ""
+    ) -> "SourceVerdicts":
+        """One verdict for all rows of a table, to be refined."""
+        n = len(table)
+        nan = np.full(n, np.nan)
+        return cls(
+            source, table.t_ns, table.received_ns, np.full(n, verdict, object), nan.copy(),
+            np.zeros(n, np.int64), nan.copy(), np.full(n, reason, object),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def set(self, rows: Any, verdict: Verdict, reason: str = "") -> None:
+        """Give the rows (index, mask or array) a verdict and the reason for it."""
+        self.verdict[rows] = verdict
+        self.reason[rows] = reason
+
+    def is_(self, verdict: Verdict) -> NDArray[np.bool_]:
+        """(N,) bool: which rows have this verdict."""
+        return np.asarray(self.verdict == verdict, bool)
+
+    def counts(self) -> dict[str, int]:
+        """How many rows have each verdict that occurs."""
+        names, numbers = np.unique(self.verdict.astype(str), return_counts=True)
+        return {str(name): int(n) for name, n in zip(names, numbers, strict=True)}
+
+
+Verdicts = Mapping[str, SourceVerdicts]
+"""Verdicts of all sources, by the source's name."""
