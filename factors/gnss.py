@@ -1,0 +1,86 @@
+"""GNSS position: the antenna is where the receiver says, up to noise and a slow bias.
+
+Model: z = p_world_veh + R_world_veh l + c + n, with l the antenna in the vehicle frame, n white
+with the fix's covariance and c an optional bias in ENU, a first-order Gauss-Markov process
+c(t + dt) = exp(-dt / tau) c(t) + w, w ~ N(0, sigma^2 (1 - exp(-2 dt / tau)) I).
+"""
+
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fgloc.frames import skew
+from fgloc.measurements import Array
+
+ANTENNA_SIGMA_M = 1e-3
+"""Slack between pose and antenna variable when a bias is estimated: far below any fix's noise."""
+
+
+class GnssResidual(NamedTuple):
+    """error (N, 3) in m; its Jacobians by pose (N, 3, 6) and by bias (3, 3)."""
+
+    error: Array
+    by_pose: Array
+    by_bias: Array
+
+
+def residual(
+    p_world_m: Array, R_world_veh: Array, z_world_m: Array, p_veh_ant_m: ArrayLike,
+    bias_world_m: ArrayLike = (0.0, 0.0, 0.0),
+) -> GnssResidual:  # fmt: skip
+    """Predicted minus measured antenna position of poses (N, ...) and fixes (N, 3), ENU m."""
+    lever = np.asarray(p_veh_ant_m, float)
+    error = p_world_m + R_world_veh @ lever + np.asarray(bias_world_m, float) - z_world_m
+    by_pose = np.concatenate([-R_world_veh @ skew(lever), R_world_veh], axis=-1)
+    return GnssResidual(error, by_pose, np.eye(3))
+
+
+def position_factor(
+    pose_key: int, z_world_m: Array, p_veh_ant_m: Array, model: gtsam.noiseModel.Base
+) -> gtsam.GPSFactorArm:
+    """The native factor of `residual` without a bias."""
+    return gtsam.GPSFactorArm(pose_key, z_world_m, p_veh_ant_m, model)
+
+
+def biased_position_factors(
+    pose_key: int, antenna_key: int, lever_key: int, bias_key: int, z_world_m: Array,
+    model: gtsam.noiseModel.Diagonal,
+) -> list[object]:  # fmt: skip
+    """The native factors of `residual` with a bias variable, by way of the antenna's position.
+
+    GTSAM has no GPS factor with a bias: the antenna becomes a point variable tied to the pose
+    through the lever-arm variable, and point + bias = z is linear. `model` must be plain
+    (diagonal); a robust loss cannot lie on a linear factor, so outliers are left to the gate.
+    """
+    tie = gtsam.ReferenceFrameFactorPoint3Pose3(
+        lever_key, pose_key, antenna_key, gtsam.noiseModel.Isotropic.Sigma(3, ANTENNA_SIGMA_M)
+    )
+    row = gtsam.JacobianFactor(antenna_key, np.eye(3), bias_key, np.eye(3), z_world_m, model)
+    return [tie, _linear(row, antenna_key, bias_key)]
+
+
+def bias_transition(dt_s: float, sigma_m: float, tau_s: float) -> tuple[float, float]:
+    """Factor phi and noise sigma in m of the Gauss-Markov bias over dt seconds."""
+    phi = float(np.exp(-dt_s / tau_s))
+    return phi, sigma_m * float(np.sqrt(-np.expm1(-2 * dt_s / tau_s)))
+
+
+def bias_transition_factor(
+    key_i: int, key_j: int, dt_s: float, sigma_m: float, tau_s: float
+) -> gtsam.LinearContainerFactor:
+    """The native factor c_j - phi c_i = w of the Gauss-Markov bias."""
+    phi, sigma = bias_transition(dt_s, sigma_m, tau_s)
+    model = gtsam.noiseModel.Isotropic.Sigma(3, sigma)
+    row = gtsam.JacobianFactor(key_i, -phi * np.eye(3), key_j, np.eye(3), np.zeros(3), model)
+    return _linear(row, key_i, key_j)
+
+
+def _linear(row: gtsam.JacobianFactor, *keys: int) -> gtsam.LinearContainerFactor:
+    """A x = b on vector variables. Without a point of linearisation, here zero, GTSAM takes the
+    row as one on the *change* of the variables and reports no error."""
+    zero = gtsam.Values()
+    for key in keys:
+        zero.insert(key, np.zeros(3))
+    return gtsam.LinearContainerFactor(row, zero)

@@ -1,0 +1,193 @@
+"""IMU: preintegration between two states, its residual in numpy and its native factor.
+
+Forster et al., 'On-Manifold Preintegration', T-RO 2017, in GTSAM's tangent form: the samples
+between states i and j give delta = (theta, dp, dv), corrected to first order for a change of bias,
+    R_j = R_i Exp(theta),  p_j = p_i + v_i T + g T^2 / 2 + R_i dp,  v_j = v_i + g T + R_i dv,
+and the residual is the difference of prediction and state j in the frame of state j. The biases
+are a random walk. The Earth's rotation (15 deg/h) is left out: a consumer gyro's bias hides it.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fgloc.drive import ImuNoise
+from fgloc.frames import exp_so3, log_so3, right_jacobian_inverse_so3, right_jacobian_so3, skew
+from fgloc.measurements import Array
+
+INTEGRATION_NOISE_M_PER_SQRT_S = 1e-3
+"""Position noise of the integration itself. A tenth of it makes the normal equations of 10 Hz
+keyframes too ill-conditioned for a Cholesky in double precision; estimates do not change."""
+
+
+class ImuDeltas(NamedTuple):
+    """Preintegrated motion over N intervals; rows are (theta, dp, dv) in the frame of state i.
+
+    delta     (N, 9) rad, m, m/s at `bias_hat`
+    by_bias   (N, 9, 6) change of delta with the bias, accelerometer first
+    cov       (N, 9, 9) in the frame at the end of the interval: rad^2, m^2, (m/s)^2
+    dt_s      (N,)
+    bias_hat  (N, 6) m/s^2 and rad/s
+    """
+
+    delta: Array
+    by_bias: Array
+    cov: Array
+    dt_s: Array
+    bias_hat: Array
+
+
+class ImuResidual(NamedTuple):
+    """error (N, 9) and Jacobians by pose_i (6), velocity_i (3), pose_j (6), velocity_j (3), bias (6)."""
+
+    error: Array
+    by_pose_i: Array
+    by_velocity_i: Array
+    by_pose_j: Array
+    by_velocity_j: Array
+    by_bias: Array
+
+
+def parameters(
+    accel_noise: float, gyro_noise: float, gravity_mps2: float, T_veh_imu: Array
+) -> gtsam.PreintegrationParams:
+    """GTSAM's parameters for densities in m/s^2 and rad/s per sqrt(Hz), gravity along -z."""
+    params = gtsam.PreintegrationParams.MakeSharedU(gravity_mps2)
+    params.setAccelerometerCovariance(np.eye(3) * accel_noise**2)
+    params.setGyroscopeCovariance(np.eye(3) * gyro_noise**2)
+    params.setIntegrationCovariance(np.eye(3) * INTEGRATION_NOISE_M_PER_SQRT_S**2)
+    params.setImuFactorErrorMode(gtsam.ImuFactorErrorMode.ComponentWise)
+    if not np.array_equal(T_veh_imu, np.eye(4)):
+        params.setBodyPSensor(gtsam.Pose3(T_veh_imu))
+    return params
+
+
+def integrate(
+    pim: gtsam.PreintegratedImuMeasurements, accel: Iterable[Array], gyro: Iterable[Array],
+    dt_s: Iterable[float],
+) -> None:  # fmt: skip
+    """Add samples to a preintegration, each held over its dt."""
+    add = pim.integrateMeasurement
+    for a, w, dt in zip(accel, gyro, dt_s, strict=True):
+        add(a, w, dt)
+
+
+def snapshot(pim: gtsam.PreintegratedImuMeasurements) -> ImuDeltas:
+    """What a native preintegration holds, as one row (N = 1)."""
+    by_bias = np.zeros((9, 6), order="F")
+    end = pim.predict(gtsam.NavState(), pim.biasHat(), np.zeros((9, 9), order="F"), by_bias)
+    delta = pim.preintegrated()
+    # predict() gives the Jacobian in the frame of the predicted state; bring it to delta itself.
+    R = end.attitude().matrix()
+    J = np.vstack([right_jacobian_inverse_so3(delta[:3]) @ by_bias[:3],
+                   R @ by_bias[3:6], R @ by_bias[6:]])  # fmt: skip
+    return ImuDeltas(delta[None], J[None], pim.residualCovariance()[None],
+                     np.array([pim.deltaTij()]), pim.biasHatVector()[None])  # fmt: skip
+
+
+def stack(rows: list[ImuDeltas]) -> ImuDeltas:
+    """Rows of snapshots as one table."""
+    return ImuDeltas(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+
+
+def factor(
+    keys: tuple[int, int, int, int, int], pim: gtsam.PreintegratedImuMeasurements
+) -> gtsam.ImuFactor:
+    """The native factor of `residual`; keys are pose_i, velocity_i, pose_j, velocity_j, bias."""
+    return gtsam.ImuFactor(*keys, pim)
+
+
+def bias_walk_sigmas(noise: ImuNoise, dt_s: float) -> Array:
+    """Standard deviations (6,) of the biases' change over dt seconds: m/s^2 thrice, rad/s thrice."""
+    walk = [noise.accel_bias_walk_mps3_per_sqrt_hz] * 3 + [noise.gyro_bias_walk_radps2_per_sqrt_hz] * 3
+    return np.array(walk) * np.sqrt(dt_s)
+
+
+def predict(
+    deltas: ImuDeltas, R: Array, p: Array, v: Array, bias: Array, gravity_mps2: float
+) -> tuple[Array, Array, Array]:
+    """States (N, ...) carried over the intervals: attitude, position in m, velocity in m/s."""
+    d = _corrected(deltas, bias)
+    T = deltas.dt_s[:, None]
+    g = np.array([0.0, 0.0, -gravity_mps2])
+    return (
+        R @ exp_so3(d[:, :3]),
+        p + v * T + 0.5 * g * T**2 + _rotate(R, d[:, 3:6]),
+        v + g * T + _rotate(R, d[:, 6:]),
+    )
+
+
+def transition(deltas: ImuDeltas, R: Array, bias: Array) -> tuple[Array, Array]:
+    """How small errors travel: by state (N, 9, 9) and by bias (N, 9, 6).
+
+    Errors are (rotation, position) in the vehicle frame, as GTSAM's Pose3, then velocity in the
+    world; noise of the interval is `deltas.cov` turned by `velocity_to_world`.
+    """
+    d = _corrected(deltas, bias)
+    dR = exp_so3(d[:, :3])
+    R_j = R @ dR
+    back = dR.swapaxes(-1, -2)
+    F = np.zeros((len(d), 9, 9))
+    F[:, :3, :3] = back
+    F[:, 3:6, :3] = -back @ skew(d[:, 3:6])
+    F[:, 3:6, 3:6] = back
+    F[:, 3:6, 6:] = R_j.swapaxes(-1, -2) * deltas.dt_s[:, None, None]
+    F[:, 6:, :3] = -R @ skew(d[:, 6:])
+    F[:, 6:, 6:] = np.eye(3)
+    G = np.concatenate([right_jacobian_so3(d[:, :3]) @ deltas.by_bias[:, :3],
+                        back @ deltas.by_bias[:, 3:6], R @ deltas.by_bias[:, 6:]], axis=1)  # fmt: skip
+    return F, G
+
+
+def noise_world_velocity(deltas: ImuDeltas, R_j: Array) -> Array:
+    """`deltas.cov` (N, 9, 9) with the velocity turned from the frame of state j to the world."""
+    turn = np.zeros((len(R_j), 9, 9))
+    turn[:, :6, :6] = np.eye(6)
+    turn[:, 6:, 6:] = R_j
+    return turn @ deltas.cov @ turn.swapaxes(-1, -2)
+
+
+def residual(
+    deltas: ImuDeltas, state_i: tuple[Array, Array, Array], state_j: tuple[Array, Array, Array],
+    bias: Array, gravity_mps2: float,
+) -> ImuResidual:  # fmt: skip
+    """Prediction from states i minus states j, in the frame of j, (N, 9): rad, m, m/s.
+
+    States are (R_world_veh (N, 3, 3), p_world_m (N, 3), v_world_mps (N, 3)); bias is (N, 6).
+    """
+    (R_i, _, _), (R_j, p_j, v_j) = state_i, state_j
+    R_p, p_p, v_p = predict(deltas, *state_i, bias, gravity_mps2)
+    back = R_j.swapaxes(-1, -2)
+    E = back @ R_p
+    error = np.concatenate([log_so3(E), _rotate(back, p_p - p_j), _rotate(back, v_p - v_j)], axis=-1)
+    J = right_jacobian_inverse_so3(error[:, :3])
+    d = _corrected(deltas, bias)
+    n, relative = len(d), back @ R_i
+    by_pose_i, by_pose_j = np.zeros((n, 9, 6)), np.zeros((n, 9, 6))
+    by_pose_i[:, :3, :3] = J @ exp_so3(d[:, :3]).swapaxes(-1, -2)
+    by_pose_i[:, 3:6, :3] = -relative @ skew(d[:, 3:6])
+    by_pose_i[:, 3:6, 3:] = relative
+    by_pose_i[:, 6:, :3] = -relative @ skew(d[:, 6:])
+    by_pose_j[:, :3, :3] = -J @ E.swapaxes(-1, -2)
+    by_pose_j[:, 3:6, :3] = skew(error[:, 3:6])
+    by_pose_j[:, 3:6, 3:] = -np.eye(3)
+    by_pose_j[:, 6:, :3] = skew(error[:, 6:])
+    by_velocity_i, by_velocity_j = np.zeros((n, 9, 3)), np.zeros((n, 9, 3))
+    by_velocity_i[:, 3:6] = back * deltas.dt_s[:, None, None]
+    by_velocity_i[:, 6:] = back
+    by_velocity_j[:, 6:] = -back
+    by_bias = np.concatenate([J @ right_jacobian_so3(d[:, :3]) @ deltas.by_bias[:, :3],
+                              relative @ deltas.by_bias[:, 3:6],
+                              relative @ deltas.by_bias[:, 6:]], axis=1)  # fmt: skip
+    return ImuResidual(error, by_pose_i, by_velocity_i, by_pose_j, by_velocity_j, by_bias)
+
+
+def _corrected(deltas: ImuDeltas, bias: ArrayLike) -> Array:
+    return deltas.delta + _rotate(deltas.by_bias, np.asarray(bias) - deltas.bias_hat)
+
+
+def _rotate(matrix: Array, vector: Array) -> Array:
+    return np.einsum("nij,nj->ni", matrix, vector)

@@ -1,0 +1,45 @@
+"""Noise models: Gaussian, and the robust losses laid over them."""
+
+from typing import Literal
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fgloc.measurements import Array
+
+Loss = Literal["none", "huber", "cauchy"]
+
+
+def gaussian(cov: ArrayLike) -> gtsam.noiseModel.Base:
+    """GTSAM's model of a covariance (m, m); raises RuntimeError where it is not positive."""
+    matrix = np.asarray(cov, float)
+    variance = np.diagonal(matrix)
+    if np.array_equal(matrix, np.diag(variance)):
+        return gtsam.noiseModel.Diagonal.Variances(variance)
+    return gtsam.noiseModel.Gaussian.Covariance(matrix)
+
+
+def robust(model: gtsam.noiseModel.Base, loss: Loss, width: float) -> gtsam.noiseModel.Base:
+    """The model with a loss on the norm of the whitened error; `width` in standard deviations."""
+    if loss == "none":
+        return model
+    estimators = gtsam.noiseModel.mEstimator
+    kind = {"huber": estimators.Huber, "cauchy": estimators.Cauchy}[loss]
+    return gtsam.noiseModel.Robust.Create(kind.Create(width), model)
+
+
+def weight(norm: ArrayLike, loss: Loss, width: float) -> Array:
+    """Weight (...) that a loss gives to whitened errors of the given norms (...), 1 = full."""
+    size = np.asarray(norm, float)
+    if loss == "huber":
+        return width / np.maximum(size, width)
+    if loss == "cauchy":
+        return 1 / (1 + (size / width) ** 2)
+    return np.ones_like(size)
+
+
+def nis(error: ArrayLike, cov: ArrayLike) -> Array:
+    """Normalised innovation squared e' S^-1 e of errors (..., m) with covariances (..., m, m)."""
+    e = np.asarray(error, float)
+    return np.einsum("...i,...i->...", e, np.linalg.solve(np.asarray(cov, float), e[..., None])[..., 0])

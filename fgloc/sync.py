@@ -1,0 +1,157 @@
+"""From tables to epochs: which instants get a state, and which IMU samples lie between them.
+
+Both estimator families take the same epochs. An epoch is a keyframe (a state of the graph) where
+an aiding measurement is true, at either end of an IMU gap, and at least every
+`keyframe_interval_s`; between keyframes lie output epochs, which the IMU alone reaches.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgloc.config import SmoothConfig
+from fgloc.drive import Drive
+from fgloc.errors import DriveError
+from fgloc.measurements import Array, GnssFixes, ImuSamples
+from fgloc.result import Event
+from fgloc.timing import Instants, elapsed_s, seconds_to_ns
+from fgloc.verdicts import SourceVerdicts, Verdict
+
+
+@dataclass(frozen=True, eq=False)
+class Epochs:
+    """K epochs and the IMU samples between them.
+
+    t_ns          (K,) instants, increasing
+    is_keyframe   (K,) bool
+    in_gap        (K,) bool: the interval that ends here lies in an IMU gap
+    fix_row       (K,) row of the GNSS fix true at the epoch, -1 where there is none
+    first_sample  (K + 1,) samples first_sample[k]:first_sample[k + 1] lie between epochs k - 1 and k
+    accel_mps2    (M, 3) mean specific force of each step between samples, IMU axes
+    gyro_radps    (M, 3) mean angular rate of each step
+    dt_s          (M,) length of each step
+    """
+
+    t_ns: Instants
+    is_keyframe: NDArray[np.bool_]
+    in_gap: NDArray[np.bool_]
+    fix_row: NDArray[np.int64]
+    first_sample: NDArray[np.int64]
+    accel_mps2: Array
+    gyro_radps: Array
+    dt_s: Array
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    @property
+    def keyframes(self) -> NDArray[np.int64]:
+        """Indices of the epochs that are keyframes."""
+        return np.flatnonzero(self.is_keyframe)
+
+    def samples(self, epoch: int) -> tuple[Array, Array, Array]:
+        """Specific force, angular rate and dt of the steps that lead to an epoch."""
+        steps = slice(self.first_sample[epoch], self.first_sample[epoch + 1])
+        return self.accel_mps2[steps], self.gyro_radps[steps], self.dt_s[steps]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Epochs of a drive, the first verdicts on every row, and what there was to remark."""
+
+    epochs: Epochs
+    verdicts: dict[str, SourceVerdicts]
+    events: tuple[Event, ...]
+
+
+def plan(drive: Drive, config: SmoothConfig) -> Plan:
+    """Epochs from the first usable fix to the last IMU sample.
+
+    Raises DriveError where there are no fixes, no IMU, or the two do not overlap in time.
+    """
+    imu, gnss = drive.imu, drive.gnss
+    verdicts = {
+        name: SourceVerdicts.of(name, table, Verdict.UNUSED, f"no {name} factor in this method")
+        for name, table in drive.tables.items()
+    }
+    usable = _usable_fixes(gnss, imu, verdicts["gnss"], drive.name)
+    first, last = gnss.t_ns[usable[0]], imu.t_ns[-1]
+    _judge_imu(imu, first, verdicts["imu"])
+    gaps = _gaps(imu, first, config.imu.gap_s)
+    keyframes = np.unique(np.concatenate([gnss.t_ns[usable], gaps.ravel(), [first, last]]))
+    keyframes = _fill(keyframes, config.keyframe_interval_s)
+    t_ns = _fill(keyframes, config.output_interval_s)
+    fix_row = np.full(len(t_ns), -1)
+    fix_row[np.searchsorted(t_ns, gnss.t_ns[usable])] = usable
+    in_gap = np.zeros(len(t_ns), bool)
+    for start, end in gaps:
+        in_gap |= (t_ns > start) & (t_ns <= end)
+    epochs = Epochs(t_ns, np.isin(t_ns, keyframes), in_gap, fix_row, *_steps(imu, t_ns))
+    return Plan(epochs, verdicts, _gap_events(gaps))
+
+
+def _usable_fixes(
+    gnss: GnssFixes, imu: ImuSamples, verdicts: SourceVerdicts, name: str
+) -> NDArray[np.int64]:
+    """Rows that can enter: finite, the first of their instant, and where there is an IMU."""
+    duplicate = np.zeros(len(gnss), bool)
+    duplicate[1:] = gnss.t_ns[1:] == gnss.t_ns[:-1]
+    outside = (gnss.t_ns < imu.t_ns[0]) | (gnss.t_ns > imu.t_ns[-1])
+    finite = np.isfinite(gnss.p_world_ant_m).all(-1) & np.isfinite(gnss.cov_world_m2).all((-1, -2))
+    verdicts.set(slice(None), Verdict.UNUSED, "not reached")
+    verdicts.set(duplicate, Verdict.DUPLICATE, "an earlier row has the same t_ns")
+    verdicts.set(outside, Verdict.OUTSIDE, "no IMU samples at this time")
+    verdicts.set(~finite, Verdict.INVALID, "position or covariance is not finite")
+    usable = np.flatnonzero(finite & ~duplicate & ~outside)
+    if len(usable) < 2:
+        raise DriveError(
+            f"drive {name!r}: {len(usable)} of {len(gnss)} GNSS fixes lie within the IMU's span of "
+            "time; at least 2 are needed (are both on the same clock? GPS is 18 s ahead of UTC)"
+        )
+    return usable
+
+
+def _judge_imu(imu: ImuSamples, first_ns: int, verdicts: SourceVerdicts) -> None:
+    """Samples before the last one at or before the first fix have nothing to carry."""
+    start = max(int(np.searchsorted(imu.t_ns, first_ns, side="right")) - 1, 0)
+    verdicts.set(slice(None), Verdict.USED)
+    verdicts.set(slice(0, start), Verdict.OUTSIDE, "before the first usable fix")
+
+
+def _gaps(imu: ImuSamples, first_ns: int, gap_s: float) -> NDArray[np.int64]:
+    """(G, 2) start and end of the intervals without IMU samples, from the first fix on."""
+    wide = np.flatnonzero(np.diff(imu.t_ns) > seconds_to_ns(gap_s))
+    gaps = np.stack([imu.t_ns[wide], imu.t_ns[wide + 1]], -1)
+    gaps = gaps[gaps[:, 1] > first_ns]
+    return np.maximum(gaps, first_ns)
+
+
+def _gap_events(gaps: NDArray[np.int64]) -> tuple[Event, ...]:
+    return tuple(
+        Event(int(start), "imu gap", f"no IMU samples for {(end - start) / 1e9:.2f} s; bridged with "
+              "unknown acceleration and turn rate")
+        for start, end in gaps
+    )  # fmt: skip
+
+
+def _fill(t_ns: Instants, longest_s: float) -> Instants:
+    """The instants with evenly spread ones between, so that no interval exceeds `longest_s`."""
+    span = np.diff(t_ns)
+    parts = np.maximum(-(-span // seconds_to_ns(longest_s)), 1)
+    which = np.repeat(np.arange(len(span)), parts)
+    place = np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.append(t_ns[which] + span[which] * place // parts[which], t_ns[-1:])
+
+
+def _steps(imu: ImuSamples, t_ns: Instants) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Steps between all samples and epochs, each with the mean of its two ends (trapezoid rule)."""
+    inside = (imu.t_ns > t_ns[0]) & (imu.t_ns < t_ns[-1])
+    knots = np.union1d(imu.t_ns[inside], t_ns)
+    at, have = elapsed_s(knots, int(t_ns[0])), elapsed_s(imu.t_ns, int(t_ns[0]))
+    columns = np.concatenate([imu.accel_mps2, imu.gyro_radps], axis=1)
+    values = np.stack([np.interp(at, have, column) for column in columns.T], -1)
+    mean = (values[1:] + values[:-1]) / 2
+    ends = np.searchsorted(knots, t_ns)
+    first_sample = np.concatenate([[0], ends])
+    return first_sample, mean[:, :3].copy(), mean[:, 3:].copy(), np.diff(at)

@@ -1,0 +1,88 @@
+"""The GNSS factor against differences, against GTSAM, and against its own noise model."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from fgloc.factors import gnss, noise
+from fgloc.frames import exp_so3
+
+LEVER = np.array([1.2, -0.4, 1.5])
+
+
+def poses(n, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(n, 3)) * 50, exp_so3(rng.normal(size=(n, 3)))
+
+
+def test_the_native_factor_has_the_error_of_the_numpy_residual():
+    p, R = poses(5)
+    z = p + 1.0
+    ours = gnss.residual(p, R, z, LEVER).error
+    for k in range(5):
+        factor = gnss.position_factor(0, z[k], LEVER, gtsam.noiseModel.Unit.Create(3))
+        native = factor.evaluateError(gtsam.Pose3(gtsam.Rot3(R[k]), p[k]))
+        np.testing.assert_allclose(ours[k], native, atol=1e-12)
+
+
+def test_the_jacobian_by_pose_equals_its_difference_quotient():
+    p, R = poses(4)
+    analytic = gnss.residual(p, R, p, LEVER).by_pose
+    step = 1e-6
+    for i, e in enumerate(np.eye(6)):
+        plus, minus = (
+            gnss.residual(p + s * R @ e[3:], R @ exp_so3(s * e[:3]), p, LEVER).error
+            for s in (step, -step)
+        )
+        np.testing.assert_allclose(analytic[..., i], (plus - minus) / (2 * step), atol=1e-7)
+
+
+def test_a_bias_variable_shifts_the_fix_by_itself():
+    p, R = poses(1)
+    z, bias = p[0] + R[0] @ LEVER + [1, 2, 3], np.array([1.0, 2, 3])
+    factors = gnss.biased_position_factors(0, 1, 2, 3, z, gtsam.noiseModel.Isotropic.Sigma(3, 0.5))
+    values = gtsam.Values()
+    values.insert(0, gtsam.Pose3(gtsam.Rot3(R[0]), p[0]))
+    values.insert(1, p[0] + R[0] @ LEVER)
+    values.insert(2, LEVER)
+    values.insert(3, bias)
+    assert sum(f.error(values) for f in factors) == pytest.approx(0, abs=1e-18)
+    assert gnss.residual(p, R, z[None], LEVER, bias).error == pytest.approx(0, abs=1e-12)
+
+
+def test_the_native_bias_chain_tells_a_bias_from_the_position():
+    """A level car known to a centimetre by one fix, then a fix 2 m off: the bias takes the 2 m."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    pose = gtsam.Pose3()
+    graph.add(gtsam.PriorFactorPose3(0, pose, gtsam.noiseModel.Isotropic.Sigma(6, 1e-3)))
+    graph.add(gtsam.PriorFactorPoint3(2, LEVER, gtsam.noiseModel.Isotropic.Sigma(3, 1e-4)))
+    z = LEVER + [2, 0, 0]
+    for f in gnss.biased_position_factors(0, 1, 2, 3, z, gtsam.noiseModel.Isotropic.Sigma(3, 0.1)):
+        graph.add(f)
+    graph.add(gtsam.PriorFactorVector(3, np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 5.0)))
+    graph.add(gnss.bias_transition_factor(3, 4, 10.0, 5.0, 60.0))
+    for key, value in ((0, pose), (1, LEVER), (2, LEVER), (3, np.zeros(3)), (4, np.zeros(3))):
+        values.insert(key, value)
+    result = gtsam.GaussNewtonOptimizer(graph, values).optimize()
+    expected = 2 * 25 / (25 + 0.01)
+    phi, _ = gnss.bias_transition(10.0, 5.0, 60.0)
+    assert result.atVector(3)[0] == pytest.approx(expected, rel=1e-4)
+    assert result.atVector(4)[0] == pytest.approx(phi * expected, rel=1e-4)
+
+
+def test_a_gauss_markov_bias_keeps_its_stationary_variance():
+    phi, sigma = gnss.bias_transition(7.0, 1.3, 60.0)
+    assert phi**2 * 1.3**2 + sigma**2 == pytest.approx(1.3**2)
+
+
+@pytest.mark.parametrize("loss", ["none", "huber", "cauchy"])
+def test_our_weights_are_those_of_the_native_loss(loss):
+    norms = np.array([0.1, 1.0, 3.4, 5.0, 40.0])
+    model = noise.robust(gtsam.noiseModel.Isotropic.Sigma(3, 0.5), loss, 3.4)
+    for norm, ours in zip(norms, noise.weight(norms, loss, 3.4), strict=True):
+        native = 1.0 if loss == "none" else model.robust().weight(norm)
+        assert ours == pytest.approx(native)
+
+
+def test_nis_of_a_two_sigma_error_on_each_axis_is_eight():
+    assert noise.nis([[2.0, 6.0]], [np.diag([1.0, 9.0])]) == pytest.approx(8.0)
