@@ -7,7 +7,7 @@ and the residual is the difference of prediction and state j in the frame of sta
 are a random walk. The Earth's rotation (15 deg/h) is left out: a consumer gyro's bias hides it.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -75,22 +75,33 @@ def integrate(
         add(a, w, dt)
 
 
-def snapshot(pim: gtsam.PreintegratedImuMeasurements) -> ImuDeltas:
-    """What a native preintegration holds, as one row (N = 1)."""
-    by_bias = np.zeros((9, 6), order="F")
-    end = pim.predict(gtsam.NavState(), pim.biasHat(), np.zeros((9, 9), order="F"), by_bias)
-    delta = pim.preintegrated()
-    # predict() gives the Jacobian in the frame of the predicted state; bring it to delta itself.
-    R = end.attitude().matrix()
-    J = np.vstack([right_jacobian_inverse_so3(delta[:3]) @ by_bias[:3],
-                   R @ by_bias[3:6], R @ by_bias[6:]])  # fmt: skip
-    return ImuDeltas(delta[None], J[None], pim.residualCovariance()[None],
-                     np.array([pim.deltaTij()]), pim.biasHatVector()[None])  # fmt: skip
+class Snapshot(NamedTuple):
+    """What a native preintegration holds at one instant, copied out; `table` makes rows of it."""
+
+    delta: Array
+    end_by_bias: Array
+    cov: Array
+    dt_s: float
+    bias_hat: Array
 
 
-def stack(rows: list[ImuDeltas]) -> ImuDeltas:
-    """Rows of snapshots as one table."""
-    return ImuDeltas(*(np.concatenate(column) for column in zip(*rows, strict=True)))
+def snapshot(pim: gtsam.PreintegratedImuMeasurements) -> Snapshot:
+    """Copy the sums so far; integration may go on."""
+    end_by_bias = np.zeros((9, 6), order="F")
+    unused = np.zeros((9, 9), order="F")
+    pim.predict(gtsam.NavState(), pim.biasHat(), unused, end_by_bias)
+    return Snapshot(pim.preintegrated(), end_by_bias, pim.residualCovariance(), pim.deltaTij(),
+                    pim.biasHatVector())  # fmt: skip
+
+
+def table(snapshots: Sequence[Snapshot]) -> ImuDeltas:
+    """Snapshots as the rows of a table."""
+    delta, end, cov, dt_s, hat = (np.array(column) for column in zip(*snapshots, strict=True))
+    # GTSAM gives the Jacobian by bias in the frame of the end; bring it to delta itself.
+    R = exp_so3(delta[:, :3])
+    J = right_jacobian_inverse_so3(delta[:, :3])
+    by_bias = np.concatenate([J @ end[:, :3], R @ end[:, 3:6], R @ end[:, 6:]], axis=1)
+    return ImuDeltas(delta, by_bias, cov, dt_s, hat)
 
 
 def factor(

@@ -4,7 +4,7 @@ import difflib
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -28,8 +28,12 @@ class GnssConfig(Section):
     loss_width: float = Field(default=3.4, gt=0)
     """Whitened norm at which the loss leaves the parabola; 3.4 holds 99 % of three-dimensional
     Gaussian errors."""
-    gate_probability: float = Field(default=0.999999, gt=0, le=1)
-    """A fix is gated where its NIS exceeds this quantile of chi-square; 1 switches the gate off."""
+    gate_probability: float = Field(default=0.9999, gt=0, le=1)
+    """A fix is gated where its NIS exceeds this quantile of chi-square, times the slack squared;
+    1 switches the gate off."""
+    gate_slack: float = Field(default=3.0, ge=1)
+    """How many times too small the innovation's sigma may be before the gate may act: real noise is
+    never quite the model's, and what lies between is left to the loss."""
     gate_reset_s: float = Field(default=5.0, gt=0)
     """After this long without an accepted fix the gate opens, or it would never recover."""
     sigma_scale: float = Field(default=1.0, gt=0)
@@ -68,7 +72,8 @@ class SolverConfig(Section):
     """Of iSAM2; a Cholesky that fails is repeated with QR."""
     relinearize_threshold: float = Field(default=0.1, gt=0)
     max_iterations: int = Field(default=50, gt=0)
-    relative_tolerance: float = Field(default=1e-9, gt=0)
+    cost_tolerance: float = Field(default=1e-4, gt=0)
+    """The batch has converged where an iteration changes the cost, half a chi-square, by less."""
 
 
 class SmoothConfig(Section):
@@ -158,6 +163,8 @@ def _parse_value(text: str) -> Any:
 def _describe(model: type[BaseModel], fault: Any) -> str:
     keys = [str(part) for part in fault["loc"]]
     dotted = ".".join(keys)
+    if fault["type"] == "missing":
+        return f"{dotted} is missing"
     if fault["type"] != "extra_forbidden":
         return f"{dotted} = {fault.get('input')!r}: {fault['msg']}"
     valid = _fields_at(model, keys[:-1])
@@ -170,6 +177,7 @@ def _describe(model: type[BaseModel], fault: Any) -> str:
 def _fields_at(model: type[BaseModel], keys: list[str]) -> list[str]:
     for key in keys:
         annotation = model.model_fields[key].annotation
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            model = annotation
+        for choice in (annotation, *get_args(annotation)):  # a section may be `Section | None`
+            if isinstance(choice, type) and issubclass(choice, BaseModel):
+                model = choice
     return list(model.model_fields)

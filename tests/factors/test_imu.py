@@ -38,7 +38,7 @@ def near(rng, deltas, state_i, bias):
 
 def case(pim, seed=0):
     rng = np.random.default_rng(seed)
-    deltas = imu.snapshot(pim)
+    deltas = imu.table([imu.snapshot(pim)])
     bias = deltas.bias_hat + 0.01 * rng.normal(size=(1, 6))
     state_i = states(rng, 1)
     return deltas, state_i, near(rng, deltas, state_i, bias), bias
@@ -61,7 +61,7 @@ def test_the_native_factor_has_the_error_of_the_numpy_residual(pim):
 def test_the_native_factor_has_the_covariance_of_the_table(pim):
     whiten = imu.factor((1, 2, 3, 4, 5), pim).noiseModel().R()
     np.testing.assert_allclose(
-        np.linalg.inv(whiten.T @ whiten), imu.snapshot(pim).cov[0], rtol=1e-6, atol=1e-12
+        np.linalg.inv(whiten.T @ whiten), imu.table([imu.snapshot(pim)]).cov[0], rtol=1e-6, atol=1e-12
     )
 
 
@@ -116,7 +116,7 @@ def test_a_car_on_a_circle_comes_back_to_where_it_started():
     imu.integrate(pim, np.tile([0, speed * rate, GRAVITY], (n, 1)), np.tile([0, 0, rate], (n, 1)),
                   np.full(n, dt))  # fmt: skip
     R, p, v = imu.predict(
-        imu.snapshot(pim), np.eye(3)[None], np.zeros((1, 3)), np.array([[speed, 0, 0]]),
+        imu.table([imu.snapshot(pim)]), np.eye(3)[None], np.zeros((1, 3)), np.array([[speed, 0, 0]]),
         np.zeros((1, 6)), GRAVITY,
     )  # fmt: skip
     np.testing.assert_allclose(p[0], 0, atol=0.2)  # the held samples lag by half a step
@@ -138,7 +138,7 @@ def test_preintegrated_noise_is_that_of_simulated_samples():
         )  # fmt: skip
         ends.append(pim.preintegrated())
     spread = np.cov(np.array(ends).T)
-    promised = imu.snapshot(pim).cov[0]
+    promised = imu.table([imu.snapshot(pim)]).cov[0]
     # A variance estimated from 4,000 runs has a relative sigma of sqrt(2 / 4000) = 2.2 %.
     np.testing.assert_allclose(np.diag(spread), np.diag(promised), rtol=0.1)
 

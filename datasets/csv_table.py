@@ -1,0 +1,152 @@
+"""Strict CSV tables of named numeric columns, read and written without losing a bit.
+
+Stamps (columns in `_ns`) are int64 and never pass through a float, which has 53 bits only.
+Floats are written as the shortest text that reads back to the same number.
+"""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer
+from fgloc.errors import DriveError
+
+_INT64 = np.iinfo(np.int64)
+
+
+def read_csv(path: Path, layout: Layout) -> Columns:
+    """The columns of a CSV file, in the order of its header, each (N,) with N >= 1.
+
+    Raises DriveError with file, line, column, value and remedy where the file is missing, empty
+    or cut off, where its header does not fit `layout`, and where a cell does not hold a number.
+    """
+    raw = _bytes(path)
+    names = _header(path, raw)
+    check_header(f"{path}:1", names, layout)
+    columns = _parse_fast(path, raw, names)
+    if columns is None:  # something is wrong or empty: find out what, cell by cell
+        columns = _parse_slowly(path, raw, names, layout)
+    check_values(path, columns, layout)
+    return columns
+
+
+def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:
+    """Write columns of one length under their names, in the order given."""
+    path.write_bytes(format_csv(columns).encode())
+
+
+def format_csv(columns: Mapping[str, ArrayLike]) -> str:
+    """The text of a CSV file: a header, one line per row, the last one ended too."""
+    cells = [_exact(name, values).tolist() for name, values in columns.items()]
+    n, width = len(cells[0]), len(cells)
+    flat: list[Any] = [None] * (n * width)
+    for i, column in enumerate(cells):
+        flat[i::width] = column
+    # One interpolation for the whole table: %r is the shortest exact text of int and float.
+    row = ",".join(["%r"] * width) + "\n"
+    return ",".join(columns) + "\n" + (row * n) % tuple(flat)
+
+
+def _exact(name: str, values: ArrayLike) -> NDArray[Any]:
+    return np.asarray(values, np.int64 if is_integer(name) else np.float64)
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        raw = path.read_bytes()
+    except FileNotFoundError as err:
+        raise DriveError(f"{path}: no such file") from err
+    except OSError as err:
+        raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
+    if not raw.strip():
+        raise DriveError(f"{path}: the file is empty; a line with column names is needed")
+    return raw
+
+
+def _header(path: Path, raw: bytes) -> list[str]:
+    first = re.split(rb"\r\n|\n|\r", raw, maxsplit=1)[0]
+    return [name.strip() for name in _decode(path, first).split(",")]
+
+
+def _decode(path: Path, raw: bytes) -> str:
+    try:
+        return raw.decode("utf-8-sig")  # spreadsheets put a byte-order mark in front
+    except UnicodeDecodeError as err:
+        raise DriveError(
+            f"{path}: byte {err.start} is not UTF-8 text; is this a CSV file?"
+        ) from err
+
+
+def _parse_fast(path: Path, raw: bytes, names: list[str]) -> Columns | None:
+    """All cells by numpy's C parser, or None where it meets anything but a number."""
+    lines = raw.count(b"\n") + (not raw.endswith(b"\n")) - 1
+    if lines < 1:
+        return None
+    dtype = np.dtype([(name, np.int64 if is_integer(name) else np.float64) for name in names])
+    try:
+        table = np.loadtxt(
+            path, dtype, delimiter=",", skiprows=1, comments=None, encoding="utf-8", ndmin=1
+        )
+    except ValueError:
+        return None
+    if len(table) != lines:  # the parser passes over blank lines; we do not
+        return None
+    return {name: np.ascontiguousarray(table[name]) for name in names}
+
+
+def _parse_slowly(path: Path, raw: bytes, names: list[str], layout: Layout) -> Columns:
+    """All cells one by one; raises DriveError at the first that is wrong."""
+    lines = re.split(r"\r\n|\n|\r", _decode(path, raw).rstrip())[1:]
+    ended = raw.endswith((b"\n", b"\r"))
+    rows = [
+        _row(f"{path}:{number}", line, names, layout, cut=number == len(lines) + 1 and not ended)
+        for number, line in enumerate(lines, start=2)
+    ]
+    columns = zip(*rows, strict=True) if rows else ([] for _ in names)
+    return {name: _exact(name, column) for name, column in zip(names, columns, strict=True)}
+
+
+def _row(where: str, line: str, names: list[str], layout: Layout, cut: bool) -> list[Any]:
+    cells = line.split(",")
+    hint = "; the file looks cut off: copy it again" if cut else ""
+    if not line.strip():
+        raise DriveError(f"{where}: the line is blank; remove it")
+    if len(cells) != len(names):
+        raise DriveError(
+            f"{where}: {len(cells)} cells where the header names {len(names)} columns"
+            f"{hint or '; is a comma missing or too many?'}"
+        )
+    return [
+        _cell(where, name, cell.strip(), layout, hint)
+        for name, cell in zip(names, cells, strict=True)
+    ]
+
+
+def _cell(where: str, name: str, cell: str, layout: Layout, hint: str) -> Any:
+    if is_integer(name):
+        return _integer(where, name, cell, hint)
+    if not cell and layout.may_be_empty(name):
+        return np.nan
+    try:
+        if "_" in cell or not cell.isascii():  # python takes 1_0; other programs do not
+            raise ValueError
+        return float(cell)
+    except ValueError as err:
+        raise DriveError(f"{where}: {name} = {cell!r} is not a number{hint}") from err
+
+
+def _integer(where: str, name: str, cell: str, hint: str) -> int:
+    if not re.fullmatch(r"[+-]?[0-9]+", cell):
+        raise DriveError(
+            f"{where}: {name} = {cell!r} is not a whole number of nanoseconds{hint}; "
+            "write it without point or exponent"
+        )
+    if not _INT64.min <= int(cell) <= _INT64.max:
+        raise DriveError(
+            f"{where}: {name} = {cell} does not fit in 64 bits; is it finer than nanoseconds?"
+        )
+    return int(cell)

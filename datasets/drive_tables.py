@@ -1,0 +1,179 @@
+"""The tables of a drive as columns: layouts, conversions, and the checks made on reading."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fgloc.datasets.columns import Columns, Group, Layout, place
+from fgloc.datasets.trajectory_columns import (
+    ENU,
+    GEODETIC,
+    VELOCITY,
+    check_increasing,
+    check_places,
+    positions,
+    stack,
+    symmetric,
+    unstack,
+)
+from fgloc.errors import DriveError
+from fgloc.frames import Origin
+from fgloc.measurements import Array, GnssFixes, ImuSamples, Table, WheelSpeeds
+from fgloc.timing import Instants
+
+COVARIANCE = ("cov_ee_m2", "cov_en_m2", "cov_eu_m2", "cov_nn_m2", "cov_nu_m2", "cov_uu_m2")
+SIGMA = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
+ACCEL = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2")
+GYRO = ("gyro_x_radps", "gyro_y_radps", "gyro_z_radps")
+
+_TIME = (Group.of("t_ns"), Group.of("received_ns", required=False))
+LAYOUTS = {
+    "gnss": Layout(
+        (
+            *_TIME,
+            Group((ENU, GEODETIC)),
+            Group((COVARIANCE, SIGMA)),
+            Group.of(*VELOCITY, required=False, may_be_empty=True),
+        )
+    ),
+    "imu": Layout((*_TIME, Group.of(*ACCEL), Group.of(*GYRO))),
+    "wheel": Layout((*_TIME, Group.of("speed_mps"), Group.of("sigma_mps"))),
+}
+"""Columns of each kind of table. `received_ns` left out means: received when it was true."""
+
+_SYMMETRY_TOLERANCE = 1e-9
+
+
+def table_to_columns(table: Table) -> Columns:
+    """The columns of a table, without those that say nothing."""
+    columns: Columns = {"t_ns": table.t_ns}
+    if not np.array_equal(table.t_ns, table.received_ns):
+        columns["received_ns"] = table.received_ns
+    if isinstance(table, GnssFixes):
+        return columns | _gnss_columns(table)
+    if isinstance(table, ImuSamples):
+        return columns | unstack(ACCEL, table.accel_mps2) | unstack(GYRO, table.gyro_radps)
+    if isinstance(table, WheelSpeeds):
+        return columns | {"speed_mps": table.speed_mps, "sigma_mps": table.sigma_mps}
+    raise DriveError(f"a drive folder has no file for a table of kind {table.KIND!r}")
+
+
+def _gnss_columns(fixes: GnssFixes) -> Columns:
+    check_covariances(fixes.cov_world_m2, lambda row: f"gnss row {row}")
+    columns = unstack(ENU, fixes.p_world_ant_m)
+    columns |= unstack(COVARIANCE, fixes.cov_world_m2[:, *np.triu_indices(3)])
+    if not np.isnan(fixes.v_world_mps).all():
+        columns |= unstack(VELOCITY, fixes.v_world_mps)
+    return columns
+
+
+def gnss_from_columns(path: Path, columns: Columns, origin: Origin) -> GnssFixes:
+    """GNSS fixes of a table read from `path`. Raises DriveError naming the first bad row.
+
+    Stamps may repeat: what to do with a duplicate is the estimator's to say.
+    """
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    p_world_ant_m = positions(path, columns, origin)
+    cov_world_m2 = _covariance(path, columns)
+    check_covariances(cov_world_m2, lambda row: place(path, row))
+    return GnssFixes(
+        *_times(columns), p_world_ant_m, cov_world_m2, _velocity(path, columns, len(p_world_ant_m))
+    )
+
+
+def origin_from_first_fix(path: Path, columns: Columns) -> Origin:
+    """The first fix as the origin of the world frame, for a drive that names none."""
+    if GEODETIC[0] not in columns:
+        raise DriveError(
+            f"{path.parent / 'drive.toml'}: [origin] is missing; positions in {path.name} are "
+            "east, north, up of it, so lat_deg, lon_deg and height_m of that point are needed"
+        )
+    check_places(path, columns)
+    lat_deg, lon_deg, height_m = (float(columns[name][0]) for name in GEODETIC)
+    return Origin(lat_deg, lon_deg, height_m)
+
+
+def imu_from_columns(path: Path, columns: Columns) -> ImuSamples:
+    """IMU samples of a table read from `path`; DriveError where time does not increase."""
+    check_increasing(path, columns["t_ns"])
+    return ImuSamples(*_times(columns), stack(columns, ACCEL), stack(columns, GYRO))
+
+
+def wheel_from_columns(path: Path, columns: Columns) -> WheelSpeeds:
+    """Wheel speeds of a table read from `path`; DriveError where time goes back or sigma <= 0."""
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    _check_positive(path, columns, ("sigma_mps",))
+    return WheelSpeeds(*_times(columns), columns["speed_mps"], columns["sigma_mps"])
+
+
+def check_covariances(cov_m2: Array, where: Callable[[int], str]) -> None:
+    """Raise DriveError at the first of the covariances (N, 3, 3) that cannot be one.
+
+    A covariance is finite, symmetric (to 1e-9 of its diagonal) and positive definite; `where`
+    names a row, counted from 0, in the message.
+    """
+    variance = np.diagonal(cov_m2, axis1=-2, axis2=-1)
+    finite = np.asarray(np.isfinite(cov_m2).all((-1, -2)))
+    positive = np.asarray((variance > 0).all(-1))
+    sigma = np.sqrt(np.where(positive[:, None] & finite[:, None], variance, 1.0))
+    correlation = np.where(finite[:, None, None], cov_m2, 0.0) / (
+        sigma[:, :, None] * sigma[:, None, :]
+    )
+    skewness = np.abs(correlation - correlation.swapaxes(-1, -2)).max((-1, -2), initial=0)
+    # Leading minors of the correlation matrix: the verdict does not hang on the units.
+    definite = (1 - correlation[:, 0, 1] ** 2 > 0) & (np.linalg.det(correlation) > 0)
+    for fine, fault in (
+        (finite, "is not finite"),
+        (positive, "has a zero or negative variance"),
+        (skewness <= _SYMMETRY_TOLERANCE, "is not symmetric"),
+        (definite, "is not positive definite"),
+    ):
+        if not fine.all():
+            row = int(np.argmin(fine))
+            raise DriveError(
+                f"{where(row)}: the position covariance {fault}: {_as_text(cov_m2[row])} m^2; "
+                "give what the receiver states, or remove the row"
+            )
+
+
+def _as_text(matrix: Array) -> str:
+    return "[" + ", ".join("[" + ", ".join(f"{x:.6g}" for x in row) + "]" for row in matrix) + "]"
+
+
+def _covariance(path: Path, columns: Columns) -> Array:
+    if COVARIANCE[0] in columns:
+        return symmetric(stack(columns, COVARIANCE), 3)
+    _check_positive(path, columns, SIGMA)
+    return stack(columns, SIGMA)[:, :, None] ** 2 * np.eye(3)
+
+
+def _check_positive(path: Path, columns: Columns, names: tuple[str, ...]) -> None:
+    for name in names:
+        bad = columns[name] <= 0
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise DriveError(
+                f"{place(path, row)}: {name} = {columns[name][row]}; "
+                "a standard deviation must be above 0"
+            )
+
+
+def _velocity(path: Path, columns: Columns, n: int) -> Array:
+    if VELOCITY[0] not in columns:
+        return np.full((n, 3), np.nan)
+    velocity = stack(columns, VELOCITY)
+    absent = np.isnan(velocity)
+    partly = absent.any(-1) & ~absent.all(-1)
+    if partly.any():
+        row = int(np.argmax(partly))
+        name = VELOCITY[int(np.argmax(absent[row]))]
+        raise DriveError(
+            f"{place(path, row)}: {name} is empty but other parts of the velocity are not; "
+            "give all three or none"
+        )
+    return velocity
+
+
+def _times(columns: Columns) -> tuple[Instants, Instants]:
+    return columns["t_ns"], columns.get("received_ns", columns["t_ns"])

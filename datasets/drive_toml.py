@@ -1,0 +1,139 @@
+"""`drive.toml`: what a drive folder says about itself, the rig and the world frame."""
+
+import dataclasses
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field
+
+from fgloc.config import validate
+from fgloc.drive import About, Drive, ImuNoise, Rig
+from fgloc.errors import ConfigError, DriveError, InputError
+from fgloc.frames import Origin
+
+FILE_NAME = "drive.toml"
+
+Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Row4 = Annotated[list[float], Field(min_length=4, max_length=4)]
+Matrix4 = Annotated[list[Row4], Field(min_length=4, max_length=4)]
+
+
+class _Part(BaseModel):
+    """A table of the file; unknown keys, text for numbers, NaN and infinity are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class AboutPart(_Part):
+    """[about]: for people."""
+
+    title: str = ""
+    licence: str = ""
+    source: str = ""
+    simulated: bool = False
+
+
+class OriginPart(_Part):
+    """[origin]: where the world frame touches the Earth."""
+
+    lat_deg: float = Field(ge=-90, le=90)
+    lon_deg: float = Field(ge=-180, le=360)
+    height_m: float = Field(ge=-12_000, le=100_000)
+    datum: Literal["ellipsoid", "msl"] = "ellipsoid"
+
+
+class ImuNoisePart(_Part):
+    """[rig.imu_noise]: the fields of `ImuNoise`."""
+
+    accel_noise_mps2_per_sqrt_hz: float = Field(gt=0)
+    gyro_noise_radps_per_sqrt_hz: float = Field(gt=0)
+    accel_bias_walk_mps3_per_sqrt_hz: float = Field(gt=0)
+    gyro_bias_walk_radps2_per_sqrt_hz: float = Field(gt=0)
+    accel_bias_sigma_mps2: float = Field(default=ImuNoise.accel_bias_sigma_mps2, gt=0)
+    gyro_bias_sigma_radps: float = Field(default=ImuNoise.gyro_bias_sigma_radps, gt=0)
+
+
+class RigPart(_Part):
+    """[rig]: where the sensors sit."""
+
+    p_veh_ant_m: Vector3 = [0.0, 0.0, 0.0]
+    T_veh_imu: Matrix4 = np.eye(4).tolist()
+    imu_noise: ImuNoisePart | None = None
+
+
+class TruthPart(_Part):
+    """[truth]: of which point of the vehicle it tells."""
+
+    p_veh_point_m: Vector3 = [0.0, 0.0, 0.0]
+
+
+class DriveToml(_Part):
+    """The whole file."""
+
+    format: Literal[1]
+    name: str = Field(min_length=1)
+    about: AboutPart = AboutPart()
+    origin: OriginPart | None = None
+    rig: RigPart = RigPart()
+    truth: TruthPart | None = None
+
+
+def read_toml(path: Path) -> DriveToml:
+    """The validated content of a `drive.toml`; DriveError with every fault at once."""
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as err:
+        raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
+        raise DriveError(f"{path}: not valid TOML: {err}") from err
+    try:
+        return validate(DriveToml, values, str(path))
+    except ConfigError as err:
+        raise DriveError(str(err)) from err
+
+
+def to_rig(path: Path, part: RigPart) -> Rig:
+    """The rig of `[rig]`; DriveError where its mounting matrix is not a rigid transform."""
+    T_veh_imu = np.array(part.T_veh_imu)
+    if not np.array_equal(T_veh_imu[3], [0, 0, 0, 1]):
+        raise DriveError(f"{path}: the last row of rig.T_veh_imu must be [0, 0, 0, 1]")
+    noise = ImuNoise(**part.imu_noise.model_dump()) if part.imu_noise else None
+    try:
+        return Rig(np.array(part.p_veh_ant_m), T_veh_imu, noise)
+    except InputError as err:
+        raise DriveError(f"{path}: {err}") from err
+
+
+def to_origin(part: OriginPart) -> Origin:
+    """The origin of `[origin]`."""
+    return Origin(**part.model_dump())
+
+
+def to_about(part: AboutPart) -> About:
+    """The description of `[about]`."""
+    return About(**part.model_dump())
+
+
+def format_toml(drive: Drive) -> str:
+    """The text of the `drive.toml` that describes a drive."""
+    rig = {"p_veh_ant_m": drive.rig.p_veh_ant_m.tolist(), "T_veh_imu": drive.rig.T_veh_imu.tolist()}
+    if drive.rig.imu_noise is not None:
+        rig["imu_noise"] = _floats(dataclasses.asdict(drive.rig.imu_noise))
+    content = {
+        "format": 1,
+        "name": drive.name,
+        "about": dataclasses.asdict(drive.about),
+        "origin": _floats(dataclasses.asdict(drive.origin)),
+        "rig": rig,
+    }
+    if drive.truth is not None:
+        content["truth"] = {"p_veh_point_m": drive.truth.p_veh_point_m.tolist()}
+    return tomli_w.dumps(content)
+
+
+def _floats(values: dict[str, object]) -> dict[str, object]:
+    """Plain floats where numpy scalars or ints may have crept in: TOML knows only those."""
+    return {k: v if isinstance(v, str) else float(v) for k, v in values.items()}  # type: ignore[arg-type]

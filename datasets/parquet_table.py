@@ -1,0 +1,70 @@
+"""The same tables as Parquet files, for long drives; needs the extra `table` (pyarrow)."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer, place
+from fgloc.datasets.csv_table import read_csv, write_csv
+from fgloc.errors import DriveError, InputError
+
+
+def read_table(path: Path, layout: Layout) -> Columns:
+    """The columns of a `.csv` or `.parquet` file; raises DriveError as `read_csv` does."""
+    return read_parquet(path, layout) if path.suffix == ".parquet" else read_csv(path, layout)
+
+
+def write_table(path: Path, columns: Mapping[str, ArrayLike]) -> None:
+    """Write columns as `.csv` or `.parquet`, whichever the path ends in."""
+    (write_parquet if path.suffix == ".parquet" else write_csv)(path, columns)
+
+
+def read_parquet(path: Path, layout: Layout) -> Columns:
+    """The columns of a Parquet file, each (N,) with N >= 1; raises DriveError like `read_csv`."""
+    arrow, parquet = _pyarrow()
+    try:
+        table = parquet.read_table(path)
+    except FileNotFoundError as err:
+        raise DriveError(f"{path}: no such file") from err
+    except (OSError, arrow.ArrowException) as err:
+        raise DriveError(f"{path}: not a readable Parquet file: {err}") from err
+    check_header(str(path), table.column_names, layout)
+    columns = {name: _column(path, name, table.column(name), layout) for name in table.column_names}
+    check_values(path, columns, layout)
+    return columns
+
+
+def write_parquet(path: Path, columns: Mapping[str, ArrayLike]) -> None:
+    """Write columns of one length under their names; int64 stamps, float64 everything else."""
+    arrow, parquet = _pyarrow()
+    arrays = {
+        name: np.asarray(values, np.int64 if is_integer(name) else np.float64)
+        for name, values in columns.items()
+    }
+    parquet.write_table(arrow.table(arrays), path)
+
+
+def _column(path: Path, name: str, column: Any, layout: Layout) -> Any:
+    values = column.to_numpy()
+    if column.null_count and not layout.may_be_empty(name):
+        row = int(np.argmax(np.asarray(column.is_null())))
+        raise DriveError(f"{place(path, row)}: {name} is empty; a number is needed")
+    kinds, want = ("i", "int64") if is_integer(name) else ("fi", "float64")
+    if values.dtype.kind not in kinds:
+        raise DriveError(f"{path}: column {name} holds {column.type}, expected {want}")
+    return values.astype(np.int64 if is_integer(name) else np.float64)
+
+
+def _pyarrow() -> tuple[Any, Any]:
+    """pyarrow and its Parquet part; InputError with the remedy where it is not installed."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as err:
+        raise InputError(
+            "Parquet tables need pyarrow: run pip install 'fgloc[table]', or use CSV"
+        ) from err
+    return pyarrow, pyarrow.parquet

@@ -1,0 +1,34 @@
+"""How good an estimate is: errors against truth, consistency, outages, and how sure that is.
+
+`errors` pairs an estimate with the truth once, as columns; everything else is computed from
+those columns: `score` and `score_errors` (named metrics), `error_growth` (outages) and
+`paired_difference` (two estimates at the same instants).
+"""
+
+from fgloc.evaluation.against_truth import MAX_GAP_S, Errors, errors
+from fgloc.evaluation.bootstrap import Bootstrap, paired_difference
+from fgloc.evaluation.consistency import anees_band, chi2_quantile, effective_samples, nees
+from fgloc.evaluation.gaps import Growth, Spans, error_growth, gnss_outages, outages, used_fixes_ns
+from fgloc.evaluation.metric import Metric
+from fgloc.evaluation.scoring import score, score_errors
+
+__all__ = [
+    "MAX_GAP_S",
+    "Bootstrap",
+    "Errors",
+    "Growth",
+    "Metric",
+    "Spans",
+    "anees_band",
+    "chi2_quantile",
+    "effective_samples",
+    "error_growth",
+    "errors",
+    "gnss_outages",
+    "nees",
+    "outages",
+    "paired_difference",
+    "score",
+    "score_errors",
+    "used_fixes_ns",
+]

@@ -1,0 +1,120 @@
+"""Intervals of error statistics by the circular block bootstrap.
+
+Politis, Romano, A circular block-resampling procedure for stationary data (1992). Errors along a
+drive are correlated; drawing whole stretches of time keeps that correlation, where drawing single
+rows would give intervals that are far too narrow.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from fgloc.errors import InputError
+from fgloc.evaluation.against_truth import Errors
+from fgloc.evaluation.metric import Metric
+from fgloc.measurements import Array
+from fgloc.timing import Instants
+
+Interval = tuple[float, float] | tuple[None, None]
+
+_MAX_QUANTILE_ROWS = 2000
+"""Quantiles are resampled from at most this many evenly spread rows: close rows say the same."""
+_MIN_ROWS = 8
+
+
+@dataclass(frozen=True)
+class Bootstrap:
+    """How to resample: blocks of `block_s`, at most a quarter of the whole, seeded."""
+
+    block_s: float = 10.0
+    resamples: int = 500
+    probability: float = 0.95
+    seed: int = 0
+
+    def mean(self, x: Array, t_ns: Instants) -> Interval:
+        """Interval of the mean of a series (N,) at its instants."""
+        return self._of_moments(x, t_ns, lambda mean, square: mean)
+
+    def rmse(self, x: Array, t_ns: Instants) -> Interval:
+        """Interval of the root mean square."""
+        return self._of_moments(x, t_ns, lambda mean, square: np.sqrt(square))
+
+    def std(self, x: Array, t_ns: Instants) -> Interval:
+        """Interval of the standard deviation."""
+        return self._of_moments(
+            x, t_ns, lambda mean, square: np.sqrt(np.maximum(square - mean**2, 0.0))
+        )
+
+    def quantile(self, x: Array, t_ns: Instants, share: float) -> Interval:
+        """Interval of a quantile, e.g. share 0.95."""
+        step = -(-len(x) // _MAX_QUANTILE_ROWS)
+        if len(x) < _MIN_ROWS:
+            return None, None
+        x, t_ns = x[::step], t_ns[::step]
+        length = self.block_rows(t_ns)
+        rows = (self._starts(len(x), length)[..., None] + np.arange(length)) % len(x)
+        return self._interval(np.quantile(x[rows.reshape(len(rows), -1)], share, axis=1))
+
+    def block_rows(self, t_ns: Instants) -> int:
+        """Length of a block in rows, at the median spacing of the instants."""
+        spacing_s = max(float(np.median(np.diff(t_ns))) / 1e9, 1e-9)
+        return int(np.clip(round(self.block_s / spacing_s), 1, max(len(t_ns) // 4, 1)))
+
+    def resampled_means(self, columns: Array, t_ns: Instants) -> Array:
+        """Means (resamples, k) of columns (N, k), all drawn at the same rows."""
+        n, length = len(columns), self.block_rows(t_ns)
+        around = np.concatenate([columns, columns[: length - 1]])
+        total = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(around, axis=0)])
+        blocks = (total[length:] - total[:-length]) / length
+        return blocks[self._starts(n, length)].mean(axis=1)
+
+    def _of_moments(
+        self, x: Array, t_ns: Instants, statistic: Callable[[Array, Array], Array]
+    ) -> Interval:
+        if len(x) < _MIN_ROWS:
+            return None, None
+        mean, square = self.resampled_means(np.stack([x, x**2], -1), t_ns).T
+        return self._interval(statistic(mean, np.maximum(square, 0.0)))
+
+    def _starts(self, n: int, length: int) -> np.ndarray:
+        """First rows (resamples, blocks) of as many blocks as fill a series of n rows."""
+        rng = np.random.default_rng(self.seed)
+        return rng.integers(0, n, (self.resamples, -(-n // length)))
+
+    def _interval(self, values: Array) -> Interval:
+        tail = (1 - self.probability) / 2
+        low, high = np.quantile(values, [tail, 1 - tail])
+        return float(low), float(high)
+
+
+def paired_difference(
+    errors_a: Errors,
+    errors_b: Errors,
+    *,
+    column: str = "horizontal_m",
+    bootstrap: Bootstrap | None = None,
+) -> Metric:
+    """RMSE of a minus RMSE of b in one column, over the instants both have.
+
+    Below zero means that a is better; where the interval leaves out zero, the difference is more
+    than the luck of this drive. Both are drawn at the same rows, so what is common to both (a hard
+    stretch of road) cancels. Raises InputError where the two share no instant.
+    """
+    _, rows_a, rows_b = np.intersect1d(errors_a.t_ns, errors_b.t_ns, return_indices=True)
+    a, b = getattr(errors_a, column)[rows_a], getattr(errors_b, column)[rows_b]
+    known = np.isfinite(a) & np.isfinite(b)
+    if not known.any():
+        raise InputError(f"the two estimates have no instant in common where {column} is known")
+    squares, t_ns = np.stack([a, b], -1)[known] ** 2, errors_a.t_ns[rows_a][known]
+    low, high = _difference_interval(squares, t_ns, bootstrap or Bootstrap())
+    rmse = np.sqrt(squares.mean(axis=0))
+    unit = "rad" if column.endswith("_rad") else "m"
+    return Metric(float(rmse[0] - rmse[1]), unit, "lower", len(squares), low, high)
+
+
+def _difference_interval(squares: Array, t_ns: Instants, bootstrap: Bootstrap) -> Interval:
+    if len(squares) < _MIN_ROWS:
+        return None, None
+    rmse = np.sqrt(np.maximum(bootstrap.resampled_means(squares, t_ns), 0.0))
+    return bootstrap._interval(rmse[:, 0] - rmse[:, 1])

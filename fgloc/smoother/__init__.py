@@ -1,0 +1,102 @@
+"""The graph, solved three ways: the whole drive, iSAM2 as it grows, iSAM2 over a fixed lag."""
+
+import platform
+import time
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from fgloc.config import SmoothConfig
+from fgloc.drive import Drive
+from fgloc.result import Event, Result
+from fgloc.smoother.batch import run_batch
+from fgloc.smoother.model import Model
+from fgloc.smoother.online import OBSERVED_YAW_RAD, Online
+from fgloc.sync import plan
+from fgloc.verdicts import Verdicts
+
+METHODS = {
+    "graph-batch": "batch", "graph-incremental": "incremental", "graph-lag": "fixed-lag",
+}  # fmt: skip
+"""The mode behind each method's name."""
+
+
+def smooth(drive: Drive, config: SmoothConfig) -> Result:
+    """Estimate the drive's trajectory with the graph, as `config.mode` says.
+
+    Raises DriveError where the drive lacks what the graph needs, and SolverError where it cannot
+    be solved.
+    """
+    began = time.perf_counter()
+    model = Model(drive, plan(drive, config), config)
+    result = _batch(model) if config.mode == "batch" else _online(model)
+    wall_s = time.perf_counter() - began
+    duration_s = float(model.t_s[-1])
+    result.summary.update(
+        wall_s=wall_s, realtime_factor=duration_s / wall_s, duration_s=duration_s
+    )
+    return result
+
+
+def _batch(model: Model) -> Result:
+    run = run_batch(model)
+    summary = _summary(model, run.factors) | {"iterations": run.iterations, "cost": run.cost}
+    known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
+    summary["yaw_observable_s"] = 0.0 if known else None
+    return Result(
+        run.log.trajectory(model.epochs.t_ns), model.plan.verdicts, summary, "graph-batch",
+        causal=False, events=model.plan.events, config=_provenance(model.config),
+    )  # fmt: skip
+
+
+def _online(model: Model) -> Result:
+    config = model.config
+    lag_s = config.lag_s if config.mode == "fixed-lag" else None
+    online = Online(model, lag_s)
+    online.run()
+    summary = _summary(model, online.factors)
+    seen = online.yaw_observable_ns
+    summary["yaw_observable_s"] = None if seen is None else (seen - int(model.t_ns[0])) / 1e9
+    t_ns = model.epochs.t_ns
+    return Result(
+        online.log.trajectory(t_ns), model.plan.verdicts, summary,
+        "graph-lag" if lag_s else "graph-incremental", causal=True,
+        smoothed=online.last.trajectory(t_ns) if online.last else None,
+        events=_in_order((*model.plan.events, *online.events)), config=_provenance(config),
+    )  # fmt: skip
+
+
+def _summary(model: Model, factors: int) -> dict[str, Any]:
+    origin = model.drive.origin
+    return {
+        "drive": model.drive.name,
+        "method": next(m for m, mode in METHODS.items() if mode == model.config.mode),
+        "mode": model.config.mode,
+        "states": len(model),
+        "factors": factors,
+        "counts": counts(model.plan.verdicts),
+        "origin": vars(origin) | {},
+    }
+
+
+def counts(verdicts: Verdicts) -> dict[str, dict[str, int]]:
+    """How many rows of each source have each verdict."""
+    return {source: table.counts() for source, table in verdicts.items()}
+
+
+def _provenance(config: SmoothConfig) -> dict[str, Any]:
+    """The configuration in force and the versions it ran with."""
+    names = ("fgloc", "gtsam", "numpy")
+    return {**config.model_dump(exclude_none=True), "versions": {
+        "python": platform.python_version(), **{name: _version(name) for name in names},
+    }}  # fmt: skip
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
+
+
+def _in_order(events: tuple[Event, ...]) -> tuple[Event, ...]:
+    return tuple(sorted(events, key=lambda event: event.t_ns))

@@ -1,0 +1,114 @@
+"""Where to start: positions and speeds from the fixes, yaw from the gyro held to the course.
+
+The guess is only a point of linearisation; it adds no information. Course over ground is taken
+for heading where the vehicle moves, so that a drive that starts in reverse, or an IMU mounted
+askew, is told apart afterwards by `choose_yaw`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fgloc import frames
+from fgloc.measurements import Array
+from fgloc.smoother.model import Model
+
+HALF_WINDOW_S = 1.0
+"""Speeds are slopes of straight lines through the fixes of this many seconds to either side."""
+MIN_SPEED_MPS = 1.5
+SPEED_SIGMAS = 8.0
+"""A course counts where the speed is this many of its own sigmas (0.125 rad)."""
+BIN_S = 5.0
+KERNEL_S = 15.0
+"""The gyro's yaw is held to the course over about this time."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """First values of keyframes first..last: R (n, 3, 3), p and v (n, 3); is the yaw known?"""
+
+    first: int
+    R_world_veh: Array
+    p_world_m: Array
+    v_world_mps: Array
+    yaw_known: bool
+
+    def turned(self, yaw_rad: float) -> "Guess":
+        """The same with all attitudes turned about the vertical."""
+        R = frames.yaw_matrix(yaw_rad) @ self.R_world_veh
+        return Guess(self.first, R, self.p_world_m, self.v_world_mps, self.yaw_known)
+
+
+def guess(model: Model, first: int, last: int, turn_rad: Array) -> Guess:
+    """Values of keyframes first..last from the fixes and the gyro among them.
+
+    `turn_rad` (n,) is the yaw that the gyro alone gives, as from `gyro_yaw`.
+    """
+    keys = np.arange(first, last + 1)
+    with_fix = keys[model.fix_of[keys] >= 0]
+    rows = model.fix_of[with_fix]
+    t, z = model.t_s[with_fix], model.fixes.p_world_ant_m[rows]
+    sigma = np.sqrt(model.cov_world_m2[rows][:, :2, :2].trace(axis1=1, axis2=2) / 2)
+    v, sigma_v = _slopes(t, z, sigma)
+    at = model.t_s[keys]
+    speed = np.linalg.norm(v[:, :2], axis=1)
+    good = speed > np.maximum(MIN_SPEED_MPS, SPEED_SIGMAS * sigma_v)
+    yaw = turn_rad[keys].copy()
+    if good.any():
+        course = np.arctan2(v[good, 1], v[good, 0])
+        offset = course - turn_rad[with_fix[good]]
+        yaw += _smooth_angle(t[good], offset, (speed[good] / sigma_v[good]) ** 2, at)
+    R = frames.yaw_matrix(yaw)
+    p = _interpolate(at, t, z) - R @ model.lever
+    return Guess(first, R, p, _interpolate(at, t, v), bool(good.any()))
+
+
+def gyro_yaw(model: Model) -> Array:
+    """Yaw (n,) in rad at every keyframe from the gyro about the vehicle's vertical alone."""
+    epochs = model.epochs
+    rate = epochs.gyro_radps @ model.drive.rig.T_veh_imu[2, :3]
+    total = np.concatenate([[0.0], np.cumsum(rate * epochs.dt_s)])
+    return total[epochs.first_sample[model.epoch_of + 1]]
+
+
+def _slopes(t: Array, z: Array, sigma: Array) -> tuple[Array, Array]:
+    """Velocity (n, 3) and its horizontal sigma (n,) from lines through neighbouring fixes."""
+    n = len(t)
+    half = max(HALF_WINDOW_S, 1.01 * float(np.median(np.diff(t)))) if n > 1 else HALF_WINDOW_S
+    low = np.minimum(np.searchsorted(t, t - half), np.maximum(np.arange(n) - 1, 0))
+    high = np.maximum(np.searchsorted(t, t + half, side="right"), np.minimum(np.arange(n) + 2, n))
+    count = high - low
+
+    def window(column: Array) -> Array:
+        total = np.concatenate([np.zeros((1, *column.shape[1:])), np.cumsum(column, axis=0)])
+        return total[high] - total[low]
+
+    zero = z - z[0]
+    spread = np.maximum(window(t**2) - window(t) ** 2 / count, 1e-9)
+    v = (window(t[:, None] * zero) - (window(t) / count)[:, None] * window(zero)) / spread[:, None]
+    return v, np.sqrt(window(sigma**2) / count / spread)
+
+
+def _smooth_angle(t: Array, angle: Array, weight: Array, at: Array) -> Array:
+    """Weighted circular mean of angles around the times `at`, over bins under a Gaussian kernel.
+
+    The far tail of the kernel is exponential, so that times without any course take the nearest.
+    """
+    bins = np.arange(min(t[0], at[0]), max(t[-1], at[-1]) + 2 * BIN_S, BIN_S)
+    place = np.clip(((t - bins[0]) / BIN_S).astype(int), 0, len(bins) - 1)
+    phasor = np.bincount(place, weight * np.cos(angle), len(bins)) + 1j * np.bincount(
+        place, weight * np.sin(angle), len(bins)
+    )
+    filled = np.flatnonzero(np.bincount(place, minlength=len(bins)))
+    distance = np.abs(bins[:, None] - bins[None, filled]) / KERNEL_S
+    kernel = np.exp(-np.minimum(0.5 * distance**2, 10 + distance))
+    return np.angle(_unit(kernel @ phasor[filled])[np.clip(
+        ((at - bins[0]) / BIN_S).astype(int), 0, len(bins) - 1)])  # fmt: skip
+
+
+def _unit(z: np.ndarray) -> np.ndarray:
+    return z / np.maximum(np.abs(z), 1e-300)
+
+
+def _interpolate(at: Array, t: Array, values: Array) -> Array:
+    return np.stack([np.interp(at, t, column) for column in values.T], -1)

@@ -1,0 +1,108 @@
+"""Solving a graph as a whole, and saying in plain words why it cannot be solved."""
+
+import re
+
+import gtsam
+import numpy as np
+
+from fgloc.errors import SolverError
+from fgloc.smoother.guess import Guess
+from fgloc.smoother.model import Model, State
+from fgloc.timing import iso_utc
+
+TURNS_RAD = (0.0, np.pi, np.pi / 2, -np.pi / 2)
+"""Headings tried against the course: forward, reverse, and an IMU mounted across."""
+
+_MEANING = {
+    "x": ("pose", "position or attitude is not held by any measurement"),
+    "v": ("velocity", "no IMU interval or second fix holds the speed"),
+    "b": ("IMU bias", "its random walk is too small for the precision of the solver, or nothing "
+          "observes it"),
+    "c": ("GNSS bias", "nothing but GNSS observes the position"),
+    "a": ("antenna position", "the fix's covariance is not usable"),
+    "l": ("lever arm", "its prior is missing"),
+}  # fmt: skip
+
+
+def optimize(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, model: Model
+) -> tuple[gtsam.Values, int]:
+    """The optimum by Levenberg-Marquardt, and the number of iterations.
+
+    Plain Gauss-Newton is a third cheaper an iteration, but from a guess that knows nothing of the
+    speeds in an outage it climbs first, and under a robust loss it need not come back.
+    Raises SolverError that names the state, its time and the missing information.
+    """
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(model.config.solver.max_iterations)
+    params.setAbsoluteErrorTol(model.config.solver.cost_tolerance)
+    params.setRelativeErrorTol(1e-9)
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
+    try:
+        return optimizer.optimize(), optimizer.iterations()
+    except RuntimeError as err:
+        raise explain_failure(err, model) from err
+
+
+def explain_failure(err: Exception, model: Model) -> SolverError:
+    """GTSAM's complaint as a state, a time and what information is missing."""
+    found = re.search(r"variable\s+(\d+)", str(err))
+    if found is None:
+        return SolverError(f"the solver failed: {str(err).strip().splitlines()[0]}")
+    symbol = gtsam.Symbol(int(found.group(1)))
+    letter, index = chr(symbol.chr()), symbol.index()
+    name, missing = _MEANING.get(letter, (letter, "it is not observed"))
+    j = int(np.searchsorted(model.bias_of, index)) if letter == "b" else min(index, len(model) - 1)
+    t_ns = int(model.t_ns[j])
+    return SolverError(
+        f"the solver failed at the {name} of keyframe {j}, t = {model.t_s[j]:.2f} s "
+        f"({iso_utc(t_ns)}): {missing}"
+    )
+
+
+def choose_yaw(
+    model: Model, guess: Guess, factors: list[list[object]], length: int = 40
+) -> tuple[Guess, gtsam.Values]:
+    """The guess turned to the heading that the first moving stretch fits best, and its solution.
+
+    `factors[k]` are those of keyframe guess.first + k, the first being the prior. Without a course
+    the guess is returned as it is.
+    """
+    speed = np.linalg.norm(guess.v_world_mps[:, :2], axis=1)
+    moving = int(np.argmax(speed > 0.5 * speed.max())) if len(speed) else 0
+    n = min(len(factors), moving + length)
+    graph = gtsam.NonlinearFactorGraph()
+    for group in factors[:n]:
+        for factor in group:
+            graph.add(factor)
+    best: tuple[float, Guess, gtsam.Values] | None = None
+    for turn in TURNS_RAD if guess.yaw_known else (0.0,):
+        turned = guess.turned(turn)
+        solved, _ = optimize(graph, first_values(model, turned, n), model)
+        cost = graph.error(solved)
+        if best is None or cost < best[0]:
+            best = (cost, turned, solved)
+    assert best is not None
+    return best[1], best[2]
+
+
+def first_values(model: Model, guess: Guess, n: int) -> gtsam.Values:
+    """GTSAM values of the first n keyframes of a guess, biases at zero."""
+    values = gtsam.Values()
+    zero = gtsam.imuBias.ConstantBias()
+    model.insert_shared(values)
+    for k in range(n):
+        j = guess.first + k
+        pose = gtsam.Pose3(gtsam.Rot3(guess.R_world_veh[k]), guess.p_world_m[k])
+        new_bias = k == 0 or model.bias_of[j] != model.bias_of[j - 1]
+        model.insert(values, j, State(pose, guess.v_world_mps[k], zero), new_bias=new_bias)
+        if model.fix_of[j] >= 0:
+            model.insert_fix(values, j, pose)
+    return values
+
+
+def yaw_sigma_rad(R_world_veh: np.ndarray, cov_rotation: np.ndarray) -> float:
+    """Sigma of the yaw from a rotation covariance (3, 3) in the vehicle frame."""
+    up = R_world_veh[2]
+    return float(np.sqrt(up @ cov_rotation @ up))
+

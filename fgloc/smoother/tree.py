@@ -1,0 +1,110 @@
+"""iSAM2 behind one small face, whole or over a fixed lag."""
+
+from collections.abc import Iterable
+
+import gtsam
+import numpy as np
+
+from fgloc.measurements import Array
+
+WILDFIRE = 0.01
+"""Changes of the linear solution below this are not passed on down the tree."""
+
+
+def parameters(factorization: str, threshold: float) -> gtsam.ISAM2Params:
+    """iSAM2's settings; a threshold of 0 relinearises everything at every update."""
+    params = gtsam.ISAM2Params()
+    params.setRelinearizeThreshold(threshold)
+    params.relinearizeSkip = 1
+    params.findUnusedFactorSlots = True
+    params.enablePartialRelinearizationCheck = threshold > 0
+    params.setFactorization(factorization.upper())
+    step = gtsam.ISAM2GaussNewtonParams()
+    step.setWildfireThreshold(WILDFIRE if threshold > 0 else 0.0)
+    params.setOptimizationParams(step)
+    return params
+
+
+class WholeTree:
+    """iSAM2 over everything so far."""
+
+    def __init__(self, factorization: str, threshold: float) -> None:
+        self.factorization = factorization
+        self.isam = gtsam.ISAM2(parameters(factorization, threshold))
+        self._solver = self.isam
+
+    def update(
+        self, factors: Iterable[object], values: gtsam.Values, stamps: dict[int, float]
+    ) -> None:
+        """Add factors and the first values of new variables.
+
+        `stamps` gives the time in s of each new variable, and a newer one to those that later
+        factors will still touch. Raises RuntimeError where the system is indeterminate.
+        """
+        self.isam.update(_graph(factors), values)
+
+    def iterate(self) -> None:
+        """One more iteration on what is there."""
+        self._solver.update()
+
+    def estimate(self, pose_key: int, velocity_key: int, bias_key: int) -> tuple[
+        gtsam.Pose3, Array, gtsam.imuBias.ConstantBias
+    ]:  # fmt: skip
+        """The present values of one keyframe."""
+        tree = self._solver
+        return (tree.calculateEstimatePose3(pose_key), tree.calculateEstimateVector(velocity_key),
+                tree.calculateEstimateConstantBias(bias_key))  # fmt: skip
+
+    def pose(self, key: int) -> gtsam.Pose3:
+        """The present value of a pose."""
+        return self._solver.calculateEstimatePose3(key)
+
+    def covariance(self, keys: list[int]) -> Array:
+        """Joint covariance of some variables in the order given."""
+        if len(keys) == 1:
+            return self.isam.marginalCovariance(keys[0])
+        return self.isam.jointMarginalCovariance(keys).fullMatrix()
+
+    def holds(self, key: int) -> bool:
+        """Whether a variable can still be measured."""
+        return bool(self.isam.valueExists(key))
+
+
+class FixedLagTree(WholeTree):
+    """iSAM2 over the last `lag_s` seconds; what is older is marginalised."""
+
+    def __init__(self, factorization: str, threshold: float, lag_s: float) -> None:
+        self.factorization = factorization
+        params = parameters(factorization, threshold)
+        self._solver = gtsam.IncrementalFixedLagSmoother(lag_s, params)
+        self.isam = self._solver.getISAM2()
+
+    def update(
+        self, factors: Iterable[object], values: gtsam.Values, stamps: dict[int, float]
+    ) -> None:
+        """As of the whole tree; what is older than the newest stamp by the lag is marginalised."""
+        self._solver.update(_graph(factors), values, stamps)
+
+
+def relinearized(tree: WholeTree, rounds: int = 30, tolerance: float = 1e-7) -> WholeTree:
+    """A whole tree of the same factors, all variables relinearised until none moves further.
+
+    The tolerance is on the largest change of any variable: rad, m, m/s, or a bias's units.
+    """
+    fresh = WholeTree(tree.factorization, 0.0)
+    graph = gtsam.NonlinearFactorGraph(tree.isam.getFactorsUnsafe())
+    fresh.isam.update(graph, tree.isam.calculateBestEstimate())
+    for _ in range(rounds):
+        before = fresh.isam.calculateBestEstimate()
+        fresh.isam.update()
+        change = before.localCoordinates(fresh.isam.calculateBestEstimate())
+        if max(np.abs(change.at(key)).max() for key in before.keys()) < tolerance:  # noqa: SIM118
+            break
+    return fresh
+
+
+def _graph(factors: Iterable[object]) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
+    for factor in factors:
+        graph.add(factor)
+    return graph

@@ -1,0 +1,220 @@
+"""Strict CSV tables: every bit comes back, every fault is named with its place and remedy."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fgloc.datasets.columns import Group, Layout
+from fgloc.datasets.csv_table import format_csv, read_csv, write_csv
+from fgloc.datasets.parquet_table import read_table, write_table
+from fgloc.errors import DriveError, InputError
+
+LAYOUT = Layout(
+    (
+        Group.of("t_ns"),
+        Group((("east_m", "north_m"), ("lat_deg", "lon_deg"))),
+        Group.of("v_east_mps", required=False, may_be_empty=True),
+    )
+)
+HEADER = "t_ns,east_m,north_m\n"
+INT64 = np.iinfo(np.int64)
+
+stamps = st.integers(INT64.min, INT64.max)
+floats = st.floats(allow_nan=False, allow_infinity=False, allow_subnormal=True)
+rows = st.lists(st.tuples(stamps, floats, floats, floats), min_size=1, max_size=20)
+
+
+@pytest.fixture
+def csv(tmp_path):
+    """Writes a text to a file and gives its path."""
+
+    def write(text: str | bytes) -> Path:
+        path = tmp_path / "table.csv"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return path
+
+    return write
+
+
+def fault(path: Path) -> str:
+    """The message that reading the file raises, the folder left out."""
+    with pytest.raises(DriveError) as caught:
+        read_csv(path, LAYOUT)
+    return str(caught.value).replace(f"{path.parent}/", "")
+
+
+def columns_of(table):
+    t, east, north, v = zip(*table, strict=True)
+    return {
+        "t_ns": np.array(t, np.int64),
+        "east_m": np.array(east),
+        "north_m": np.array(north),
+        "v_east_mps": np.array(v),
+    }
+
+
+@given(rows)
+@settings(max_examples=200, deadline=None)
+def test_what_is_written_is_read_back_bit_for_bit(tmp_path_factory, table):
+    path = tmp_path_factory.getbasetemp() / "any.csv"
+    columns = columns_of(table)
+    write_csv(path, columns)
+    again = read_csv(path, LAYOUT)
+    assert list(again) == list(columns)
+    for name, values in columns.items():
+        assert again[name].dtype == values.dtype
+        assert again[name].tobytes() == values.tobytes()
+    assert format_csv(again) == path.read_text()
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+@pytest.mark.parametrize("number", [0.0, -0.0, 5e-324, -5e-324, 2.2250738585072014e-308,
+                                    1.7976931348623157e308, 0.1, 1 / 3])  # fmt: skip
+def test_extreme_numbers_and_stamps_survive(tmp_path, suffix, number):
+    path = tmp_path / f"table{suffix}"
+    extremes = [INT64.min, -1, 2**53 + 1, 1_752_003_244_000_000_001, INT64.max]
+    columns = columns_of([(t, number, -number, number) for t in extremes])
+    write_table(path, columns)
+    again = read_table(path, LAYOUT)
+    assert all(again[name].tobytes() == columns[name].tobytes() for name in columns)
+
+
+def test_the_order_of_columns_is_free(csv):
+    table = read_csv(csv("north_m,t_ns,east_m\n3.5,1,2\n"), LAYOUT)
+    assert (table["t_ns"][0], table["east_m"][0], table["north_m"][0]) == (1, 2.0, 3.5)
+
+
+def test_spreadsheet_habits_are_taken(csv):
+    table = read_csv(csv(b"\xef\xbb\xbft_ns, east_m, north_m\r\n1, 2, 3\r\n4, 5, 6\r\n"), LAYOUT)
+    assert table["t_ns"].tolist() == [1, 4]
+    assert table["north_m"].tolist() == [3.0, 6.0]
+
+
+def test_a_last_line_without_newline_is_taken_when_whole(csv):
+    assert read_csv(csv(HEADER + "1,2,3\n4,5,6"), LAYOUT)["north_m"].tolist() == [3.0, 6.0]
+
+
+def test_an_empty_cell_reads_as_nan_where_a_value_may_be_absent(csv):
+    table = read_csv(csv("t_ns,east_m,north_m,v_east_mps\n1,2,3,\n4,5,6,7\n8,9,9,nan\n"), LAYOUT)
+    np.testing.assert_array_equal(table["v_east_mps"], [np.nan, 7.0, np.nan])
+
+
+def test_a_missing_file_is_named(tmp_path):
+    assert fault(tmp_path / "nowhere.csv") == "nowhere.csv: no such file"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "table.csv: the file is empty; a line with column names is needed"),
+        (HEADER, "table.csv: the table is empty (a header, no rows); delete the file instead"),
+        (
+            "t_ns,east_km,north_m\n1,2,3\n",
+            "table.csv:1: unknown unit 'km' in column 'east_km'; want 'east_m'",
+        ),
+        (
+            "t_s,east_m,north_m\n1,2,3\n",
+            "table.csv:1: unknown unit 's' in column 't_s'; want 't_ns'",
+        ),
+        (
+            "t_ns,easting,north_m\n1,2,3\n",
+            "table.csv:1: unknown column 'easting'; the nearest valid name is 'east_m'",
+        ),
+        ("t_ns,east_m\n1,2\n", "table.csv:1: missing column north_m"),
+        ("t_ns\n1\n", "table.csv:1: missing column east_m,north_m or lat_deg,lon_deg"),
+        (
+            "t_ns,east_m,north_m,lat_deg,lon_deg\n1,2,3,4,5\n",
+            "table.csv:1: has columns of both east_m,north_m and lat_deg,lon_deg; "
+            "keep one of the two",
+        ),
+        (
+            "t_ns,east_m,north_m,east_m\n1,2,3,4\n",
+            "table.csv:1: column 'east_m' occurs twice; keep one of them",
+        ),
+        (
+            "1,2,3\n4,5,6\n",
+            "table.csv:1: the first line must name the columns, but it holds the value '1'",
+        ),
+        (HEADER + "1,2,3\n4,abc,6\n", "table.csv:3: east_m = 'abc' is not a number"),
+        (HEADER + "1,2,3\n4,,6\n", "table.csv:3: east_m = '' is not a number"),
+        (HEADER + "1,2,1_0\n", "table.csv:2: north_m = '1_0' is not a number"),
+        (
+            HEADER + "1,2,3\n4,5,nan\n",
+            "table.csv:3: north_m is nan; a finite number is needed; remove the row or repair it",
+        ),
+        (
+            HEADER + "1,-inf,3\n",
+            "table.csv:2: east_m is -inf; a finite number is needed; remove the row or repair it",
+        ),
+        (
+            HEADER + "1,2,3\n4,5\n7,8,9\n",
+            "table.csv:3: 2 cells where the header names 3 columns; "
+            "is a comma missing or too many?",
+        ),
+        (
+            HEADER + "1,2,3\n4,5",
+            "table.csv:3: 2 cells where the header names 3 columns; "
+            "the file looks cut off: copy it again",
+        ),
+        (
+            HEADER + "1,2,3\n4,5,1e-",
+            "table.csv:3: north_m = '1e-' is not a number; the file looks cut off: copy it again",
+        ),
+        (HEADER + "1,2,3\n\n4,5,6\n", "table.csv:3: the line is blank; remove it"),
+        (
+            HEADER + "1.5,2,3\n",
+            "table.csv:2: t_ns = '1.5' is not a whole number of nanoseconds; "
+            "write it without point or exponent",
+        ),
+        (
+            HEADER + "9223372036854775808,2,3\n",
+            "table.csv:2: t_ns = 9223372036854775808 does not fit in 64 bits; "
+            "is it finer than nanoseconds?",
+        ),
+        (
+            HEADER.encode() + b"1,2,\xff\n",
+            "table.csv: byte 24 is not UTF-8 text; is this a CSV file?",
+        ),
+    ],
+)
+def test_each_fault_is_told_with_its_place_and_remedy(csv, text, message):
+    assert fault(csv(text)) == message
+
+
+def test_a_folder_in_place_of_a_file_is_told(tmp_path):
+    assert "cannot be read" in fault(tmp_path)
+
+
+def test_parquet_faults_name_the_row(tmp_path):
+    path = tmp_path / "table.parquet"
+    columns = columns_of([(1, 2.0, 3.0, 4.0), (5, np.nan, 7.0, 8.0)])
+    write_table(path, columns)
+    with pytest.raises(DriveError, match=r"table.parquet: row 2: east_m is nan"):
+        read_table(path, LAYOUT)
+
+
+def test_parquet_stamps_must_be_integers(tmp_path):
+    import pyarrow
+    import pyarrow.parquet
+
+    path = tmp_path / "table.parquet"
+    table = pyarrow.table({"t_ns": [1.0], "east_m": [2.0], "north_m": [3.0]})
+    pyarrow.parquet.write_table(table, path)
+    with pytest.raises(DriveError, match="column t_ns holds double, expected int64"):
+        read_table(path, LAYOUT)
+
+
+def test_a_file_that_is_not_parquet_is_told(tmp_path):
+    path = tmp_path / "table.parquet"
+    path.write_text(HEADER)
+    with pytest.raises(DriveError, match="not a readable Parquet file"):
+        read_table(path, LAYOUT)
+
+
+def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    with pytest.raises(InputError, match=r"pip install 'fgloc\[table\]'"):
+        write_table(tmp_path / "table.parquet", {"t_ns": [1]})

@@ -1,0 +1,98 @@
+"""Opening drives by name or path."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fgloc.datasets import available, import_recording, make, open_drive
+from fgloc.datasets.city import make_city
+from fgloc.datasets.drive_folder import write_drive
+from fgloc.errors import DriveError, InputError
+
+
+def same(a, b) -> bool:
+    return all(a.tables[name].same_as(b.tables[name]) for name in a.tables)
+
+
+def test_every_real_sample_and_scenario_opens_as_it_is_listed():
+    for info in available():
+        if info.kind == "importer":
+            continue
+        drive = open_drive(info.name)
+        assert drive.name == info.name
+        assert tuple(drive.tables) == info.sensors
+        assert drive.about.licence == info.licence
+        assert (drive.end_ns - drive.start_ns) / 1e9 == pytest.approx(info.duration_s, abs=0.5)
+        assert drive.about.simulated == (info.kind == "scenario")
+
+
+def test_a_scenario_takes_seed_and_options():
+    drive = open_drive("city", seed=3, duration_s=5)
+    assert same(drive, make_city(3, 5.0))
+    assert same(drive, make("city", 3, duration_s=5))
+
+
+def test_a_scenario_without_a_seed_has_the_default_one():
+    assert same(open_drive("city", duration_s=5), make_city(0, 5.0))
+
+
+def test_a_folder_opens_by_its_path(tmp_path):
+    write_drive(make_city(7, 2.0), tmp_path / "mine")
+    assert same(open_drive(tmp_path / "mine"), make_city(7, 2.0))
+    assert same(open_drive(str(tmp_path / "mine")), make_city(7, 2.0))
+
+
+def test_a_drive_folder_here_comes_before_a_scenario_of_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_drive(make_city(7, 2.0), "city")
+    assert same(open_drive("city"), make_city(7, 2.0))
+    assert same(open_drive("city", seed=1, duration_s=2.0), make_city(1, 2.0))
+
+
+def test_a_recorded_drive_takes_no_seed(tmp_path):
+    with pytest.raises(InputError, match="'mems-rtk' is a recorded drive; a seed and options"):
+        open_drive("mems-rtk", seed=1)
+    write_drive(make_city(7, 2.0), tmp_path / "mine")
+    with pytest.raises(InputError, match="is a recorded drive"):
+        open_drive(tmp_path / "mine", seed=1)
+
+
+def test_unknown_names_bring_the_nearest_one():
+    with pytest.raises(InputError, match=r"no drive named 'cty' .* the nearest is 'city'"):
+        open_drive("cty")
+    with pytest.raises(InputError, match="no scenario named 'City'; the nearest is 'city'"):
+        make("City", 1)
+    with pytest.raises(
+        InputError, match="no import format named 'mems'; the nearest is 'mems-rtk'"
+    ):
+        import_recording("mems", ".")
+    with pytest.raises(InputError, match=r"no option 'duration'; .* 'duration_s'"):
+        make("city", 1, duration=5)
+    with pytest.raises(InputError, match="option duration_s = 'long' is not a number"):
+        make("city", 1, duration_s="long")
+
+
+def test_a_path_that_is_not_there_is_told_as_a_path():
+    with pytest.raises(InputError, match="no drive named 'out/mine' and no folder of that path"):
+        open_drive("out/mine")
+    with pytest.raises(DriveError, match="out/mine: no such folder"):
+        open_drive(Path("out/mine"))
+
+
+def test_importing_the_package_stays_cheap():
+    code = (
+        "import sys, fgloc.datasets; "
+        "print([m for m in ('scipy', 'pydantic', 'gtsam', 'pyarrow') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_real_sample_is_in_the_vehicle_frame_and_on_posix_time():
+    drive = open_drive("mems-rtk")
+    np.testing.assert_array_equal(drive.rig.p_veh_ant_m, [0, 0.05, 0])
+    assert np.median(drive.imu.accel_mps2[:, 2]) == pytest.approx(9.8, abs=0.2)
+    assert drive.gnss.t_ns[0] == 1_752_003_244 * 1_000_000_000
