@@ -41,7 +41,7 @@ class ImuDeltas(NamedTuple):
 
 
 class ImuResidual(NamedTuple):
-    """error (N, 9) and Jacobians by pose_i (6), velocity_i (3), pose_j (6), velocity_j (3), bias (6)."""
+    """error (N, 9); Jacobians by pose_i (6), velocity_i (3), pose_j (6), velocity_j (3), bias (6)."""
 
     error: Array
     by_pose_i: Array
@@ -52,7 +52,7 @@ class ImuResidual(NamedTuple):
 
 
 def parameters(
-    accel_noise: float, gyro_noise: float, gravity_mps2: float, T_veh_imu: Array
+    accel_noise: float, gyro_noise: float, gravity_mps2: float
 ) -> gtsam.PreintegrationParams:
     """GTSAM's parameters for densities in m/s^2 and rad/s per sqrt(Hz), gravity along -z."""
     params = gtsam.PreintegrationParams.MakeSharedU(gravity_mps2)
@@ -60,8 +60,6 @@ def parameters(
     params.setGyroscopeCovariance(np.eye(3) * gyro_noise**2)
     params.setIntegrationCovariance(np.eye(3) * INTEGRATION_NOISE_M_PER_SQRT_S**2)
     params.setImuFactorErrorMode(gtsam.ImuFactorErrorMode.ComponentWise)
-    if not np.array_equal(T_veh_imu, np.eye(4)):
-        params.setBodyPSensor(gtsam.Pose3(T_veh_imu))
     return params
 
 
@@ -113,7 +111,9 @@ def factor(
 
 def bias_walk_sigmas(noise: ImuNoise, dt_s: float) -> Array:
     """Standard deviations (6,) of the biases' change over dt seconds: m/s^2 thrice, rad/s thrice."""
-    walk = [noise.accel_bias_walk_mps3_per_sqrt_hz] * 3 + [noise.gyro_bias_walk_radps2_per_sqrt_hz] * 3
+    walk = [noise.accel_bias_walk_mps3_per_sqrt_hz] * 3 + [
+        noise.gyro_bias_walk_radps2_per_sqrt_hz
+    ] * 3
     return np.array(walk) * np.sqrt(dt_s)
 
 
@@ -173,7 +173,9 @@ def residual(
     R_p, p_p, v_p = predict(deltas, *state_i, bias, gravity_mps2)
     back = R_j.swapaxes(-1, -2)
     E = back @ R_p
-    error = np.concatenate([log_so3(E), _rotate(back, p_p - p_j), _rotate(back, v_p - v_j)], axis=-1)
+    error = np.concatenate(
+        [log_so3(E), _rotate(back, p_p - p_j), _rotate(back, v_p - v_j)], axis=-1
+    )
     J = right_jacobian_inverse_so3(error[:, :3])
     d = _corrected(deltas, bias)
     n, relative = len(d), back @ R_i

@@ -25,8 +25,8 @@ def robust(model: gtsam.noiseModel.Base, loss: Loss, width: float) -> gtsam.nois
     if loss == "none":
         return model
     estimators = gtsam.noiseModel.mEstimator
-    kind = {"huber": estimators.Huber, "cauchy": estimators.Cauchy}[loss]
-    return gtsam.noiseModel.Robust.Create(kind.Create(width), model)
+    create = {"huber": estimators.Huber.Create, "cauchy": estimators.Cauchy.Create}[loss]
+    return gtsam.noiseModel.Robust.Create(create(width), model)
 
 
 def weight(norm: ArrayLike, loss: Loss, width: float) -> Array:
@@ -42,4 +42,6 @@ def weight(norm: ArrayLike, loss: Loss, width: float) -> Array:
 def nis(error: ArrayLike, cov: ArrayLike) -> Array:
     """Normalised innovation squared e' S^-1 e of errors (..., m) with covariances (..., m, m)."""
     e = np.asarray(error, float)
-    return np.einsum("...i,...i->...", e, np.linalg.solve(np.asarray(cov, float), e[..., None])[..., 0])
+    return np.einsum(
+        "...i,...i->...", e, np.linalg.solve(np.asarray(cov, float), e[..., None])[..., 0]
+    )

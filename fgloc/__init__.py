@@ -1,1 +1,88 @@
-"""fgloc."""
+"""Factor-graph localization for vehicles that drive past smart infrastructure.
+
+    import fgloc
+
+    drive = fgloc.load("city", seed=3)                   # a name, a folder or a Drive
+    result = fgloc.smooth(drive, mode="batch")           # .trajectory .verdicts .summary
+    scores = fgloc.score(result.trajectory, drive.truth) # {name: Metric}
+
+Importing this costs next to nothing: each name is imported when it is first used.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fgloc.api import baseline, compare, load, make, score, smooth
+    from fgloc.comparison import Comparison
+    from fgloc.config import SmoothConfig
+    from fgloc.drive import About, Drive, ImuNoise, Rig
+    from fgloc.errors import ConfigError, DriveError, FglocError, InputError, SolverError
+    from fgloc.evaluation.metric import Metric
+    from fgloc.frames import Origin
+    from fgloc.measurements import GnssFixes, ImuSamples, WheelSpeeds
+    from fgloc.result import Event, Result
+    from fgloc.trajectory import Trajectory
+    from fgloc.verdicts import SourceVerdicts, Verdict
+
+    __version__: str
+
+_HOME = {
+    "baseline": "api", "compare": "api", "load": "api", "make": "api", "score": "api",
+    "smooth": "api", "Comparison": "comparison", "SmoothConfig": "config", "About": "drive",
+    "Drive": "drive", "ImuNoise": "drive", "Rig": "drive", "ConfigError": "errors",
+    "DriveError": "errors", "FglocError": "errors", "InputError": "errors",
+    "SolverError": "errors", "Metric": "evaluation.metric", "Origin": "frames",
+    "GnssFixes": "measurements", "ImuSamples": "measurements", "WheelSpeeds": "measurements",
+    "Event": "result", "Result": "result", "Trajectory": "trajectory",
+    "SourceVerdicts": "verdicts", "Verdict": "verdicts",
+}  # fmt: skip
+"""The module that each public name comes from."""
+
+__all__ = [
+    "About",
+    "Comparison",
+    "ConfigError",
+    "Drive",
+    "DriveError",
+    "Event",
+    "FglocError",
+    "GnssFixes",
+    "ImuNoise",
+    "ImuSamples",
+    "InputError",
+    "Metric",
+    "Origin",
+    "Result",
+    "Rig",
+    "SmoothConfig",
+    "SolverError",
+    "SourceVerdicts",
+    "Trajectory",
+    "Verdict",
+    "WheelSpeeds",
+    "__version__",
+    "baseline",
+    "compare",
+    "load",
+    "make",
+    "score",
+    "smooth",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: Any = version("fgloc")
+    elif name in _HOME:
+        value = getattr(importlib.import_module(f"fgloc.{_HOME[name]}"), name)
+    else:
+        raise AttributeError(f"module 'fgloc' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

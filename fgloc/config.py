@@ -68,9 +68,12 @@ class ImuConfig(Section):
 class SolverConfig(Section):
     """Settings of the solvers."""
 
-    factorization: Literal["cholesky", "qr"] = "cholesky"
-    """Of iSAM2; a Cholesky that fails is repeated with QR."""
-    relinearize_threshold: float = Field(default=0.1, gt=0)
+    factorization: Literal["cholesky", "qr"] = "qr"
+    """Of iSAM2. Cholesky is a third faster, but GTSAM gives up where pivots differ by more than
+    2^12, as a good gyro beside a GPS of metres makes them; the window is then solved anew by QR."""
+    relinearize_threshold: float | None = Field(default=None, gt=0)
+    """iSAM2 relinearises a variable that has moved by more (rad, m, m/s). Default: 0.1, or the median
+    sigma of the fixes if that is less, since robust weights are renewed only with it."""
     max_iterations: int = Field(default=50, gt=0)
     cost_tolerance: float = Field(default=1e-4, gt=0)
     """The batch has converged where an iteration changes the cost, half a chi-square, by less."""

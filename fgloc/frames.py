@@ -72,14 +72,18 @@ class Origin:
     def gravity_mps2(self) -> float:
         """Normal gravity at the origin: Somigliana's formula with the free-air term (WGS84)."""
         sin2 = np.sin(np.deg2rad(self.lat_deg)) ** 2
-        surface = 9.7803253359 * (1 + 0.00193185265241 * sin2) / np.sqrt(1 - 0.00669437999013 * sin2)
+        surface = (
+            9.7803253359 * (1 + 0.00193185265241 * sin2) / np.sqrt(1 - 0.00669437999013 * sin2)
+        )
         return float(surface - 3.086e-6 * self.height_m)
 
 
 def check_geodetic(lat_deg: float, lon_deg: float, height_m: float) -> None:
     """Raise InputError where the values cannot be a place on or near the Earth."""
     if not -90 <= lat_deg <= 90:
-        raise InputError(f"latitude {lat_deg} deg is outside [-90, 90]; is it swapped with longitude?")
+        raise InputError(
+            f"latitude {lat_deg} deg is outside [-90, 90]; is it swapped with longitude?"
+        )
     if not -180 <= lon_deg <= 360:
         raise InputError(f"longitude {lon_deg} deg is outside [-180, 360]")
     if not -12_000 <= height_m <= 100_000:
@@ -150,7 +154,9 @@ def skew(vector: ArrayLike) -> Array:
     """(..., 3) to (..., 3, 3) with skew(a) @ b = a x b."""
     x, y, z = np.moveaxis(np.asarray(vector, float), -1, 0)
     o = np.zeros_like(x)
-    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
+    return np.stack(
+        [np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2
+    )
 
 
 def exp_so3(rotvec_rad: ArrayLike) -> Array:
@@ -189,7 +195,7 @@ def right_jacobian_so3(rotvec_rad: ArrayLike) -> Array:
 
 def right_jacobian_inverse_so3(rotvec_rad: ArrayLike) -> Array:
     """Inverse of `right_jacobian_so3`: Log(Exp(w) Exp(d)) = w + Jr^-1(w) d to first order."""
-    return np.linalg.inv(right_jacobian_so3(rotvec_rad))
+    return np.asarray(np.linalg.inv(right_jacobian_so3(rotvec_rad)), float)
 
 
 def matrix_to_quat_xyzw(R: ArrayLike) -> Array:

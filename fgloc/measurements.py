@@ -1,7 +1,7 @@
 """The tables in which measurements travel: read-only columnar arrays with a time axis.
 
 Every table has `t_ns` (N,), when a measurement was true, and `received_ns` (N,), when it arrived.
-Rows are in the order of `t_ns`. A row is named by its index, counted from 0, in verdicts and errors.
+Rows are in the order of `t_ns` and named by their index, counted from 0.
 """
 
 from dataclasses import dataclass, fields, replace
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 def freeze(array: Any, dtype: type = np.float64) -> NDArray[Any]:
     """A read-only array; a writable input is copied, so that nobody else can change it."""
-    result = np.asarray(array, dtype)
+    result: NDArray[Any] = np.asarray(array, dtype)
     if result.flags.writeable:
         result = result.copy()
         result.flags.writeable = False

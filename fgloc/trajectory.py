@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from fgloc import frames
 from fgloc.errors import InputError
 from fgloc.measurements import Array, freeze
-from fgloc.timing import Instants, elapsed_s
+from fgloc.timing import NS_PER_S, Instants
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,14 +72,12 @@ class Trajectory:
 
     def take(self, index: Any) -> Self:
         """The states that a slice, mask or index array selects."""
-        return replace(
-            self,
-            t_ns=self.t_ns[index],
-            **{
-                name: None if (value := getattr(self, name)) is None else value[index]
-                for name in ("p_world_m", "R_world_veh", "v_world_mps", "cov")
-            },
-        )
+        optional = {
+            name: None if (value := getattr(self, name)) is None else value[index]
+            for name in ("R_world_veh", "v_world_mps", "cov")
+        }
+        kept: Any = {"t_ns": self.t_ns[index], "p_world_m": self.p_world_m[index], **optional}
+        return replace(self, **kept)
 
     def at_point(self, p_veh_point_m: ArrayLike) -> Self:
         """The same motion told of another point of the vehicle, through the attitude.
@@ -107,7 +105,7 @@ class Trajectory:
         left = np.clip(np.searchsorted(self.t_ns, t, side="right") - 1, 0, len(self) - 1)
         right = np.clip(np.searchsorted(self.t_ns, t, side="left"), 0, len(self) - 1)
         inside = (t >= self.t_ns[0]) & (t <= self.t_ns[-1])
-        return inside & (elapsed_s(self.t_ns[right], 0) - elapsed_s(self.t_ns[left], 0) <= max_gap_s)
+        return inside & ((self.t_ns[right] - self.t_ns[left]) / NS_PER_S <= max_gap_s)
 
     def at(self, t_ns: ArrayLike) -> Self:
         """The trajectory at other instants (M,), which must lie within its span.
@@ -172,7 +170,5 @@ def _hermite(
         + s * (1 - s) ** 2 * dt_s * v[i]
         - s**2 * (1 - s) * dt_s * v[j]
     )
-    velocity = (
-        6 * s * (1 - s) * step / dt_s + (1 - s) * (1 - 3 * s) * v[i] + s * (3 * s - 2) * v[j]
-    )
+    velocity = 6 * s * (1 - s) * step / dt_s + (1 - s) * (1 - 3 * s) * v[i] + s * (3 * s - 2) * v[j]
     return position, velocity

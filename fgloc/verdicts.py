@@ -76,3 +76,8 @@ class SourceVerdicts:
 
 Verdicts = Mapping[str, SourceVerdicts]
 """Verdicts of all sources, by the source's name."""
+
+
+def counts(verdicts: Verdicts) -> dict[str, dict[str, int]]:
+    """How many rows of each source have each verdict; together as many as were read."""
+    return {source: table.counts() for source, table in verdicts.items()}

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+import scipy.special
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -135,9 +136,14 @@ def test_lever_arm_carries_the_covariance():
     np.testing.assert_allclose(e.sigma_lateral_m, np.sqrt(4 * (1e-4 + 1e-6) + 1e-6))
 
 
-def test_lever_arm_without_attitude_is_refused():
-    with pytest.raises(InputError, match="no attitude to carry it"):
-        errors(curve(attitude=False), curve(point=(1.0, 0, 0)))
+def test_lever_arm_is_carried_through_the_truths_attitude_where_the_estimate_has_none():
+    e = errors(curve(attitude=False, point=(1.0, 0.2, 0)), curve())
+    np.testing.assert_allclose(e.p_world_m, 0, atol=1e-9)
+
+
+def test_lever_arm_without_any_attitude_is_refused():
+    with pytest.raises(InputError, match="neither has an attitude to carry it"):
+        errors(curve(attitude=False), curve(attitude=False, point=(1.0, 0, 0)))
 
 
 def test_truth_left_out_is_counted_and_adds_up():
@@ -295,6 +301,20 @@ def test_a_planar_estimate_is_judged_in_the_plane():
 def test_chi_square_quantiles_of_the_tables():
     expected = [3.841, 5.991, 7.815, 12.592]
     np.testing.assert_allclose(chi2_quantile(0.95, [1, 2, 3, 6]), expected, atol=5e-4)
+
+
+@pytest.mark.parametrize("probability", [1e-9, 0.025, 0.5, 0.95, 0.9999, 1 - 1e-12])
+def test_chi_square_quantiles_are_scipys(probability):
+    dof = np.array([0.5, 1, 2, 3, 6, 59.5, 61, 1234.5, 1e5])
+    expected = 2 * scipy.special.gammaincinv(dof / 2, probability)
+    np.testing.assert_allclose(chi2_quantile(probability, dof), expected, rtol=1e-10)
+
+
+def test_chi_square_quantiles_at_the_ends():
+    assert chi2_quantile(1.0, 3) == np.inf
+    assert chi2_quantile(0.0, 3) == 0.0
+    with pytest.raises(ValueError, match="no quantile"):
+        chi2_quantile(0.5, 0)
 
 
 def test_band_of_a_hundred_runs():

@@ -2,13 +2,14 @@
 
 `errors` pairs an estimate with the truth once, as columns; everything else is computed from
 those columns: `score` and `score_errors` (named metrics), `error_growth` (outages) and
-`paired_difference` (two estimates at the same instants).
+`paired_difference` (two estimates at the same instants). `judge` does it for a whole result.
 """
 
 from fgloc.evaluation.against_truth import MAX_GAP_S, Errors, errors
 from fgloc.evaluation.bootstrap import Bootstrap, paired_difference
 from fgloc.evaluation.consistency import anees_band, chi2_quantile, effective_samples, nees
 from fgloc.evaluation.gaps import Growth, Spans, error_growth, gnss_outages, outages, used_fixes_ns
+from fgloc.evaluation.judgement import Judgement, judge
 from fgloc.evaluation.metric import Metric
 from fgloc.evaluation.scoring import score, score_errors
 
@@ -17,6 +18,7 @@ __all__ = [
     "Bootstrap",
     "Errors",
     "Growth",
+    "Judgement",
     "Metric",
     "Spans",
     "anees_band",
@@ -25,6 +27,7 @@ __all__ = [
     "error_growth",
     "errors",
     "gnss_outages",
+    "judge",
     "nees",
     "outages",
     "paired_difference",

@@ -96,12 +96,15 @@ def errors(
     """Errors of an estimate at every truth instant that it covers.
 
     The estimate is interpolated to the truth's instants and carried to the truth's point of the
-    vehicle through its own attitude; its covariance goes with it. Truth rows before
-    `score_from_ns`, outside the estimate's time, or between two states more than `max_gap_s`
-    apart are left out and counted in `left_out`.
+    vehicle through its own attitude; its covariance goes with it. Where the estimate has no
+    attitude, such as GNSS alone, the truth is carried to the estimate's point instead. Truth rows
+    before `score_from_ns`, outside the estimate's time, or between two states more than
+    `max_gap_s` apart are left out and counted in `left_out`.
 
-    Raises InputError where the points differ and the estimate has no attitude.
+    Raises InputError where the points differ and neither has an attitude.
     """
+    if estimate.R_world_veh is None and truth.R_world_veh is not None:
+        truth = truth.at_point(estimate.p_veh_point_m)
     keep, left_out = _covered(estimate, truth, score_from_ns, max_gap_s)
     heading, yaw_truth = (a[keep] for a in _headings(truth, min_speed_mps))
     truth_kept = truth.take(keep)
@@ -154,8 +157,8 @@ def _at(estimate: Trajectory, truth: Trajectory) -> Trajectory:
     if estimate.R_world_veh is None and not np.array_equal(point, estimate.p_veh_point_m):
         raise InputError(
             f"the estimate is of the vehicle's point {estimate.p_veh_point_m.tolist()} m and the "
-            f"truth of {point.tolist()} m, and the estimate has no attitude to carry it from one "
-            "to the other; give both for the same point, or an estimate with attitude"
+            f"truth of {point.tolist()} m, and neither has an attitude to carry it from one to "
+            "the other; give both for the same point, or an estimate with attitude"
         )
     at = estimate.at(truth.t_ns) if len(truth) else estimate.take(slice(0, 0))
     return at.at_point(point)

@@ -31,9 +31,7 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
     result = _batch(model) if config.mode == "batch" else _online(model)
     wall_s = time.perf_counter() - began
     duration_s = float(model.t_s[-1])
-    result.summary.update(
-        wall_s=wall_s, realtime_factor=duration_s / wall_s, duration_s=duration_s
-    )
+    result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s, duration_s=duration_s)
     return result
 
 
@@ -43,7 +41,7 @@ def _batch(model: Model) -> Result:
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
     summary["yaw_observable_s"] = 0.0 if known else None
     return Result(
-        run.log.trajectory(model.epochs.t_ns), model.plan.verdicts, summary, "graph-batch",
+        run.log.trajectory(model), model.plan.verdicts, summary, "graph-batch",
         causal=False, events=model.plan.events, config=_provenance(model.config),
     )  # fmt: skip
 
@@ -56,11 +54,10 @@ def _online(model: Model) -> Result:
     summary = _summary(model, online.factors)
     seen = online.yaw_observable_ns
     summary["yaw_observable_s"] = None if seen is None else (seen - int(model.t_ns[0])) / 1e9
-    t_ns = model.epochs.t_ns
     return Result(
-        online.log.trajectory(t_ns), model.plan.verdicts, summary,
+        online.log.trajectory(model), model.plan.verdicts, summary,
         "graph-lag" if lag_s else "graph-incremental", causal=True,
-        smoothed=online.last.trajectory(t_ns) if online.last else None,
+        smoothed=online.last.trajectory(model) if online.last else None,
         events=_in_order((*model.plan.events, *online.events)), config=_provenance(config),
     )  # fmt: skip
 

@@ -1,5 +1,6 @@
 """The whole drive at once: build, solve, gate what does not fit, and solve again."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import gtsam
@@ -12,10 +13,19 @@ from fgloc.factors import gnss, noise
 from fgloc.measurements import Array
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import guess, gyro_yaw
-from fgloc.smoother.model import YAW_SIGMA_RAD, Interval, Model, read_state
-from fgloc.smoother.solve import choose_yaw, explain_failure, first_values, optimize, yaw_sigma_rad
+from fgloc.smoother.model import YAW_SIGMA_RAD, Factors, Interval, Model, read_state
+from fgloc.smoother.solve import (
+    choose_yaw,
+    covariances,
+    first_values,
+    optimize,
+    yaw_sigma_rad,
+)
 from fgloc.smoother.states import StateLog
+from fgloc.smoother.tree import as_graph
 from fgloc.verdicts import Verdict
+
+Joint = Callable[[list[int]], Array]
 
 MAX_ROUNDS = 5
 """Gating is repeated until no verdict changes, at most this often."""
@@ -50,9 +60,9 @@ def run_batch(model: Model) -> BatchRun:
         graph = _graph(model, groups, with_fix[gated])
         values, count = optimize(graph, values, model)
         iterations += count
-        marginals = _marginals(graph, values, model)
-        cov = np.stack([marginals.marginalCovariance(X(j)) for j in range(len(model))])
-        nis, weight = _leave_one_out(model, values, marginals, cov, with_fix, gated)
+        joint = covariances(graph, values, model)
+        cov = np.stack([joint([X(j)]) for j in range(len(model))])
+        nis, weight = _leave_one_out(model, values, joint, cov, with_fix, gated)
         beyond = nis > model.gate_nis
         if np.array_equal(beyond, gated):
             break
@@ -66,47 +76,36 @@ def run_batch(model: Model) -> BatchRun:
     )  # fmt: skip
 
 
-def _groups(
-    model: Model, intervals: list[Interval | None], values: gtsam.Values
-) -> list[list[object]]:
+def _groups(model: Model, intervals: list[Interval | None], values: gtsam.Values) -> list[Factors]:
     """The factors of each keyframe; a fix's own factors come last."""
     prior = model.prior_factors(0, read_state(values, 0, 0), YAW_SIGMA_RAD)
-    groups: list[list[object]] = [prior]
+    groups: list[Factors] = [prior]
     for j in range(1, len(model)):
         interval = intervals[j]
         assert interval is not None
         groups.append(model.motion_factors(j, interval.pim))
     before: int | None = None
-    for j in np.flatnonzero(model.fix_of >= 0):
+    for j in np.flatnonzero(model.fix_of >= 0).tolist():
         groups[j] += [*model.gnss_bias_factors(j, before), *model.fix_factors(j)]
-        before = int(j)
+        before = j
     return groups
 
 
 def _graph(
-    model: Model, groups: list[list[object]], gated: NDArray[np.int64]
+    model: Model, groups: list[Factors], gated: NDArray[np.int64]
 ) -> gtsam.NonlinearFactorGraph:
     """All factors but the measurements of the gated keyframes."""
-    graph = gtsam.NonlinearFactorGraph()
     left_out = set(gated.tolist())
-    for j, group in enumerate(groups):
-        # The last factor of a fix's group is the measurement itself.
-        for factor in group[:-1] if j in left_out else group:
-            graph.add(factor)
-    return graph
-
-
-def _marginals(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, model: Model
-) -> gtsam.Marginals:
-    try:
-        return gtsam.Marginals(graph, values)
-    except RuntimeError as err:
-        raise explain_failure(err, model) from err
+    # The last factor of a fix's group is the measurement itself.
+    return as_graph(
+        factor
+        for j, group in enumerate(groups)
+        for factor in (group[:-1] if j in left_out else group)
+    )
 
 
 def _leave_one_out(
-    model: Model, values: gtsam.Values, marginals: gtsam.Marginals, cov: Array,
+    model: Model, values: gtsam.Values, joint: Joint, cov: Array,
     keys: NDArray[np.int64], gated: NDArray[np.bool_],
 ) -> tuple[Array, Array]:  # fmt: skip
     """NIS (n,) of every fix against all others, and its weight (n,) under the robust loss.
@@ -117,7 +116,7 @@ def _leave_one_out(
     """
     rows = model.fix_of[keys]
     R_fix = model.cov_world_m2[rows]
-    error, P = _fix_residuals(model, values, marginals, cov, keys)
+    error, P = _fix_residuals(model, values, joint, cov, keys)
     c = model.config.gnss
     whitened = np.sqrt(noise.nis(error, R_fix))
     loss = "none" if model.has_gnss_bias else c.loss
@@ -136,7 +135,7 @@ def _leave_one_out(
 
 
 def _fix_residuals(
-    model: Model, values: gtsam.Values, marginals: gtsam.Marginals, cov: Array,
+    model: Model, values: gtsam.Values, joint: Joint, cov: Array,
     keys: NDArray[np.int64],
 ) -> tuple[Array, Array]:  # fmt: skip
     """Predicted minus measured antenna position (n, 3) and the prediction's covariance."""
@@ -146,9 +145,9 @@ def _fix_residuals(
     if not model.has_gnss_bias:
         return told.error, told.by_pose @ cov[keys] @ told.by_pose.swapaxes(-1, -2)
     H = np.hstack([np.eye(3), np.eye(3)])
-    joint = [marginals.jointMarginalCovariance([A(j), C(j)]).fullMatrix() for j in keys]
+    both = np.stack([joint([A(j), C(j)]) for j in keys])
     bias = np.stack([values.atVector(C(j)) for j in keys])
-    return told.error + bias, H @ np.stack(joint) @ H.T
+    return told.error + bias, H @ both @ H.T
 
 
 def _judge(
@@ -182,6 +181,7 @@ def _log(
     log = StateLog(len(model.epochs))
     at = model.epoch_of
     log.R[at], log.p[at], log.v[at], log.cov[at] = R, p, v, cov
+    log.gyro_bias[at] = bias[:, 3:]
     fill(log, model, intervals, bias)
     if not np.isfinite(log.p).all():
         raise SolverError("the solver returned values that are not finite")

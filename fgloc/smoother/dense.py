@@ -21,9 +21,7 @@ from fgloc.smoother.model import Interval, Model
 from fgloc.smoother.states import StateLog
 
 
-def fill(
-    log: StateLog, model: Model, intervals: Sequence[Interval | None], bias: Array
-) -> None:
+def fill(log: StateLog, model: Model, intervals: Sequence[Interval | None], bias: Array) -> None:
     """Write all inner epochs of a log whose keyframes are written.
 
     `intervals[j]` leads to keyframe j (None: nothing to fill); bias (n, 6) is each keyframe's.
@@ -47,7 +45,7 @@ def fill_between(
     log: StateLog, epochs: NDArray[np.int64], left: NDArray[np.int64], right: NDArray[np.int64],
     part: imu.ImuDeltas, whole: imu.ImuDeltas, bias: Array, gravity_mps2: float,
 ) -> None:  # fmt: skip
-    """Write the M inner epochs; `part` leads from the left keyframe to each, `whole` to the right."""
+    """Write M inner epochs: `part` leads from the left keyframe to each, `whole` to the right one."""
     R_i, p_i, v_i = log.R[left], log.p[left], log.v[left]
     R_m, p_m, v_m = imu.predict(part, R_i, p_i, v_i, bias, gravity_mps2)
     R_j, p_j, v_j = imu.predict(whole, R_i, p_i, v_i, bias, gravity_mps2)
@@ -70,6 +68,7 @@ def fill_between(
     log.R[epochs] = R_m @ exp_so3(bend[:, :3])
     log.p[epochs] = p_m + np.einsum("nij,nj->ni", R_m, bend[:, 3:6])
     log.v[epochs] = v_m + bend[:, 6:]
+    log.gyro_bias[epochs] = bias[:, 3:]
     share = (part.dt_s / whole.dt_s)[:, None, None]
     mixed = (1 - share) * _world(log.R[left], log.cov[left]) + share * _world(
         log.R[right], log.cov[right]

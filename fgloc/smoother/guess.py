@@ -66,8 +66,7 @@ def guess(model: Model, first: int, last: int, turn_rad: Array) -> Guess:
 def gyro_yaw(model: Model) -> Array:
     """Yaw (n,) in rad at every keyframe from the gyro about the vehicle's vertical alone."""
     epochs = model.epochs
-    rate = epochs.gyro_radps @ model.drive.rig.T_veh_imu[2, :3]
-    total = np.concatenate([[0.0], np.cumsum(rate * epochs.dt_s)])
+    total = np.concatenate([[0.0], np.cumsum(epochs.gyro_radps[:, 2] * epochs.dt_s)])
     return total[epochs.first_sample[model.epoch_of + 1]]
 
 

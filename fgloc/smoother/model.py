@@ -1,7 +1,8 @@
 """The graph of a drive: which variables there are, and the native factors between them.
 
 Batch, incremental and fixed lag all build their graphs here. Keyframe j has a pose X(j) and a
-velocity V(j); biases B(m) are shared by the keyframes of `bias_interval_s`; with a GNSS bias
+velocity V(j), of the IMU's place along the vehicle's axes: GTSAM's own way with a lever arm to the
+IMU leaves out the tangential acceleration, which is 0.1 m/s^2 where a bend begins; biases B(m) are shared by the keyframes of `bias_interval_s`; with a GNSS bias
 each fix adds an antenna point A(j) and a bias C(j), and L(0) is the lever arm.
 """
 
@@ -19,6 +20,8 @@ from fgloc.factors import gnss, imu, noise
 from fgloc.measurements import Array
 from fgloc.sync import Plan
 from fgloc.timing import elapsed_s
+
+Factors = list[gtsam.NonlinearFactor]
 
 LEVEL_SIGMA_RAD = 0.2
 """A road vehicle is level to this at the start."""
@@ -59,7 +62,8 @@ class Model:
         self.drive, self.plan, self.config = drive, plan, config
         self.epochs = plan.epochs
         self.fixes = drive.gnss
-        self.lever = np.array(drive.rig.p_veh_ant_m)
+        self.p_veh_imu_m = np.array(drive.rig.T_veh_imu[:3, 3])
+        self.lever = drive.rig.p_veh_ant_m - self.p_veh_imu_m
         self.epoch_of = self.epochs.keyframes
         self.t_ns = self.epochs.t_ns[self.epoch_of]
         self.t_s = elapsed_s(self.t_ns, int(self.t_ns[0]))
@@ -68,7 +72,6 @@ class Model:
         self.gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
         self.has_gnss_bias = config.gnss.bias_sigma_m > 0
-        self._fix_before = np.maximum.accumulate(np.where(self.fix_of >= 0, np.arange(len(self)), -1))
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -89,16 +92,25 @@ class Model:
         return float(chdtri(3, 1 - c.gate_probability)) * c.gate_slack**2
 
     @cached_property
+    def relinearize_threshold(self) -> float:
+        """By how much a variable may move before iSAM2 relinearises it; see `SolverConfig`."""
+        given = self.config.solver.relinearize_threshold
+        if given is not None:
+            return given
+        variance = self.cov_world_m2[self.fix_of[self.fix_of >= 0]].trace(axis1=1, axis2=2) / 3
+        return min(0.1, float(np.sqrt(np.median(variance))))
+
+    @cached_property
     def _params(self) -> gtsam.PreintegrationParams:
         n = self.noise
-        return imu.parameters(n.accel_noise_mps2_per_sqrt_hz, n.gyro_noise_radps_per_sqrt_hz,
-                              self.gravity_mps2, self.drive.rig.T_veh_imu)  # fmt: skip
+        return imu.parameters(
+            n.accel_noise_mps2_per_sqrt_hz, n.gyro_noise_radps_per_sqrt_hz, self.gravity_mps2
+        )
 
     @cached_property
     def _gap_params(self) -> gtsam.PreintegrationParams:
         c = self.config.imu
-        return imu.parameters(c.gap_accel_mps2, c.gap_gyro_radps, self.gravity_mps2,
-                              self.drive.rig.T_veh_imu)  # fmt: skip
+        return imu.parameters(c.gap_accel_mps2, c.gap_gyro_radps, self.gravity_mps2)
 
     def interval(self, j: int) -> Interval:
         """The samples between keyframes j - 1 and j, preintegrated at zero bias."""
@@ -112,7 +124,7 @@ class Model:
                 inner.append(imu.snapshot(pim))
         return Interval(pim, tuple(inner))
 
-    def prior_factors(self, j: int, state: State, yaw_sigma_rad: float) -> list[object]:
+    def prior_factors(self, j: int, state: State, yaw_sigma_rad: float) -> Factors:
         """What is known before any measurement, laid on keyframe j around a guessed state."""
         tilt = [LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, yaw_sigma_rad]
         n = self.noise
@@ -130,7 +142,7 @@ class Model:
             *self._lever_prior(),
         ]
 
-    def carried_prior_factors(self, j: int, state: State, cov: Array) -> list[object]:
+    def carried_prior_factors(self, j: int, state: State, cov: Array) -> Factors:
         """A Gaussian prior (15, 15) of pose, velocity and bias on keyframe j, to go on from."""
         full = gtsam.noiseModel.Gaussian.Covariance
         return [
@@ -140,10 +152,10 @@ class Model:
             *self._lever_prior(),
         ]
 
-    def motion_factors(self, j: int, pim: gtsam.PreintegratedImuMeasurements) -> list[object]:
+    def motion_factors(self, j: int, pim: gtsam.PreintegratedImuMeasurements) -> Factors:
         """From keyframe j - 1 to j: the IMU, and a step of the bias where a new one begins."""
         i, b = j - 1, int(self.bias_of[j - 1])
-        factors: list[object] = [imu.factor((X(i), V(i), X(j), V(j), B(b)), pim)]
+        factors: Factors = [imu.factor((X(i), V(i), X(j), V(j), B(b)), pim)]
         if self.bias_of[j] != b:
             sigmas = imu.bias_walk_sigmas(self.noise, self.bias_t_s[b + 1] - self.bias_t_s[b])
             walk = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
@@ -151,7 +163,7 @@ class Model:
             factors.append(gtsam.BetweenFactorConstantBias(B(b), B(b + 1), still, walk))
         return factors
 
-    def fix_factors(self, j: int) -> list[object]:
+    def fix_factors(self, j: int) -> Factors:
         """The GNSS fix at keyframe j."""
         row, c = self.fix_of[j], self.config.gnss
         z, model = self.fixes.p_world_ant_m[row], noise.gaussian(self.cov_world_m2[row])
@@ -161,7 +173,7 @@ class Model:
         diagonal = gtsam.noiseModel.Diagonal.Variances(np.diagonal(self.cov_world_m2[row]))
         return gnss.biased_position_factors(X(j), A(j), L(0), C(j), z, diagonal)
 
-    def gnss_bias_factors(self, j: int, before: int | None) -> list[object]:
+    def gnss_bias_factors(self, j: int, before: int | None) -> Factors:
         """The bias chain's link to the fix at keyframe j from the fix at an earlier keyframe."""
         if not self.has_gnss_bias:
             return []
@@ -190,7 +202,7 @@ class Model:
         if self.has_gnss_bias:
             values.insert(L(0), self.lever)
 
-    def _lever_prior(self) -> list[object]:
+    def _lever_prior(self) -> Factors:
         if not self.has_gnss_bias:
             return []
         tight = gtsam.noiseModel.Isotropic.Sigma(3, LEVER_SIGMA_M)

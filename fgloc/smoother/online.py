@@ -15,17 +15,16 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, B, C, L, V, X
 
-from fgloc.errors import SolverError
 from fgloc.factors import imu, noise
 from fgloc.frames import skew
 from fgloc.measurements import Array
 from fgloc.result import Event
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import guess, gyro_yaw
-from fgloc.smoother.model import YAW_SIGMA_RAD, Interval, Model, State, read_state
+from fgloc.smoother.model import YAW_SIGMA_RAD, Factors, Interval, Model, State, read_state
 from fgloc.smoother.solve import choose_yaw, explain_failure, first_values, optimize, yaw_sigma_rad
 from fgloc.smoother.states import StateLog
-from fgloc.smoother.tree import FixedLagTree, WholeTree, relinearized
+from fgloc.smoother.tree import FixedLagTree, WholeTree, as_graph, relinearized
 from fgloc.verdicts import Verdict
 
 UNKNOWN_YAW_SIGMA_RAD = float(np.pi / np.sqrt(3))
@@ -106,9 +105,9 @@ class Online:
 
     def _take_in(
         self, j: int, fixes: list[int], values: gtsam.Values, pose: gtsam.Pose3, predicted: Array
-    ) -> tuple[list[object], int]:
+    ) -> tuple[Factors, int]:
         """Factors of the fixes that are in time and pass the gate; more updates if one lies far."""
-        factors: list[object] = []
+        factors: Factors = []
         extra = 0
         for key in fixes:
             if self._is_late(key, j):
@@ -127,7 +126,7 @@ class Online:
         return factors, extra
 
     def _is_late(self, key: int, j: int) -> bool:
-        """Give a fix its verdict where its state has left the window, or the bias chain has passed."""
+        """Give a fix its verdict where its state, or the bias chain, has passed it by."""
         passed = self.model.has_gnss_bias and bool(self._accepted) and key < self._accepted[-1]
         if key == j or (self._tree.holds(X(key)) and not passed):
             return False
@@ -161,7 +160,7 @@ class Online:
             self._event(key, "gate reset", text)
         return accepted, norm > c.loss_width
 
-    def _update(self, j: int, factors: list[object], values: gtsam.Values, extra: int) -> None:
+    def _update(self, j: int, factors: Factors, values: gtsam.Values, extra: int) -> None:
         """One update of the tree and the newest state read from it; a failed tree is replaced."""
         stamps = dict.fromkeys((*values.keys(), *self._alive(j)), float(self.model.t_s[j]))
         began = time.perf_counter()
@@ -213,12 +212,16 @@ class Online:
         values = first_values(model, start, j + 1 - first)
         self._regrow(first, j, groups, values, model.config.solver.factorization)
         self._aligned = True
-        self._event(j, "aligned", "the fixes show a course: yaw started from it, the past re-solved")
+        self._event(
+            j, "aligned", "the fixes show a course: yaw started from it, the past re-solved"
+        )
 
-    def _window(self, first: int, j: int, prior: list[object]) -> list[list[object]]:
+    def _window(self, first: int, j: int, prior: Factors) -> list[Factors]:
         """The factors of keyframes first..j, one list each, with the prior on the first."""
         groups = [prior]
-        groups += [self.model.motion_factors(k, self._intervals[k].pim) for k in range(first + 1, j + 1)]
+        groups += [
+            self.model.motion_factors(k, self._intervals[k].pim) for k in range(first + 1, j + 1)
+        ]
         before = None
         for k in sorted(k for k in self._accepted if k >= first):
             groups[k - first] = [
@@ -229,14 +232,11 @@ class Online:
         return groups
 
     def _regrow(
-        self, first: int, j: int, groups: list[list[object]], values: gtsam.Values, kind: str
+        self, first: int, j: int, groups: list[Factors], values: gtsam.Values, kind: str
     ) -> None:
         """Solve a window as a batch and put its solution into a new tree."""
         factors = [factor for group in groups for factor in group]
-        graph = gtsam.NonlinearFactorGraph()
-        for factor in factors:
-            graph.add(factor)
-        solved, _ = optimize(graph, values, self.model)
+        solved, _ = optimize(as_graph(factors), values, self.model)
         self._tree = self._new_tree(kind)
         self._tree.update(factors, solved, self._stamps(first, j))
         for k in range(first, j + 1):
@@ -268,7 +268,7 @@ class Online:
         cov = self._covs[j] = self._tree.covariance(keys)
         self._states[j] = state
         self.bias[j] = state.bias.vector()
-        self.log.put(self.model.epoch_of[j], *_plain(state), cov[:6, :6])
+        self.log.put(self.model.epoch_of[j], *_plain(state), cov[:6, :6], self.bias[j, 3:])
 
     def _write_inner(self, j: int, interval: Interval) -> None:
         """Output epochs before keyframe j: what the IMU alone makes of the last state."""
@@ -282,7 +282,8 @@ class Online:
         J = np.concatenate([F, G], axis=-1)[:, :6]
         first = self.model.epoch_of[j - 1] + 1
         for k in range(len(p)):
-            self.log.put(first + k, R[k], p[k], v[k], J[k] @ cov @ J[k].T + deltas.cov[k, :6, :6])
+            spread = J[k] @ cov @ J[k].T + deltas.cov[k, :6, :6]
+            self.log.put(first + k, R[k], p[k], v[k], spread, bias[3:])
 
     def _harvest(self, j: int) -> None:
         """Fixed lag: keep the last estimate of the states that are about to leave the window."""
@@ -298,7 +299,8 @@ class Online:
         assert self.last is not None
         state = State(*tree.estimate(X(k), V(k), B(int(self.model.bias_of[k]))))
         self.bias[k] = state.bias.vector()
-        self.last.put(self.model.epoch_of[k], *_plain(state), tree.covariance([X(k)]))
+        cov = tree.covariance([X(k)])
+        self.last.put(self.model.epoch_of[k], *_plain(state), cov, self.bias[k, 3:])
 
     def _finish(self, fixes: list[int]) -> None:
         """Take in fixes that arrived after the last keyframe; read what is still to be read."""
@@ -319,7 +321,9 @@ class Online:
         if self.lag_s is None:
             return
         keep = self._window_start(j, max(self.lag_s, 0.0 if self._aligned else ALIGN_WINDOW_S)) - 1
-        kept = (self._states, self._covs) if self.last else (self._states, self._covs, self._intervals)
+        kept = (
+            (self._states, self._covs) if self.last else (self._states, self._covs, self._intervals)
+        )
         for store in kept:
             for k in [k for k in store if k < keep]:
                 del store[k]
@@ -331,7 +335,7 @@ class Online:
         return int(np.searchsorted(self.model.t_s, self.model.t_s[j] - window_s))
 
     def _new_tree(self, kind: str) -> WholeTree:
-        threshold = self.model.config.solver.relinearize_threshold
+        threshold = self.model.relinearize_threshold
         if self.lag_s is None:
             return WholeTree(kind, threshold)
         return FixedLagTree(kind, threshold, self.lag_s)
@@ -347,7 +351,7 @@ class Online:
 
 
 def _arrivals(model: Model) -> list[list[int]]:
-    """For each keyframe, and the end, the keyframes whose fixes have been received since the last."""
+    """For each keyframe, and the end, the keyframes whose fixes have come in since the last."""
     keys = np.flatnonzero(model.fix_of >= 0)
     received = model.fixes.received_ns[model.fix_of[keys]]
     order = np.argsort(received, kind="stable")
@@ -365,7 +369,7 @@ def _predict(
     by_state, by_bias = np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
     nav = pim.predict(gtsam.NavState(state.pose, state.velocity), state.bias, by_state, by_bias)
     J = np.hstack([by_state, by_bias])[:6]
-    # GTSAM's navigation state has its velocity's tangent in the vehicle frame, ours is in the world.
+    # GTSAM's navigation state has its velocity's tangent in the vehicle frame, ours in the world.
     J[:, 6:9] = J[:, 6:9] @ state.pose.rotation().matrix().T
     predicted = J @ cov @ J.T + pim.residualCovariance()[:6, :6]
     return State(nav.pose(), nav.velocity(), state.bias), predicted

@@ -1,13 +1,16 @@
 """Solving a graph as a whole, and saying in plain words why it cannot be solved."""
 
 import re
+from collections.abc import Callable
 
 import gtsam
 import numpy as np
 
 from fgloc.errors import SolverError
+from fgloc.measurements import Array
 from fgloc.smoother.guess import Guess
-from fgloc.smoother.model import Model, State
+from fgloc.smoother.model import Factors, Model, State
+from fgloc.smoother.tree import WholeTree, as_graph
 from fgloc.timing import iso_utc
 
 TURNS_RAD = (0.0, np.pi, np.pi / 2, -np.pi / 2)
@@ -37,11 +40,45 @@ def optimize(
     params.setMaxIterations(model.config.solver.max_iterations)
     params.setAbsoluteErrorTol(model.config.solver.cost_tolerance)
     params.setRelativeErrorTol(1e-9)
-    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
     try:
-        return optimizer.optimize(), optimizer.iterations()
+        return _run(graph, values, params)
+    except RuntimeError:
+        params.setLinearSolverType("MULTIFRONTAL_QR")
+    try:
+        return _run(graph, values, params)
     except RuntimeError as err:
         raise explain_failure(err, model) from err
+
+
+def _run(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values,
+    params: gtsam.LevenbergMarquardtParams,
+) -> tuple[gtsam.Values, int]:  # fmt: skip
+    optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
+    return optimizer.optimize(), optimizer.iterations()
+
+
+def covariances(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, model: Model
+) -> Callable[[list[int]], Array]:
+    """A function that gives the joint covariance of some variables at a solution.
+
+    Where GTSAM's Cholesky gives up, iSAM2 with QR takes over. Raises SolverError where both do.
+    """
+    try:
+        marginals = gtsam.Marginals(graph, values)
+        return lambda keys: (
+            marginals.marginalCovariance(keys[0])
+            if len(keys) == 1
+            else marginals.jointMarginalCovariance(keys).fullMatrix()
+        )
+    except RuntimeError:
+        tree = WholeTree("qr", 0.0)
+    try:
+        tree.isam.update(graph, values)
+    except RuntimeError as err:
+        raise explain_failure(err, model) from err
+    return tree.covariance
 
 
 def explain_failure(err: Exception, model: Model) -> SolverError:
@@ -61,7 +98,7 @@ def explain_failure(err: Exception, model: Model) -> SolverError:
 
 
 def choose_yaw(
-    model: Model, guess: Guess, factors: list[list[object]], length: int = 40
+    model: Model, guess: Guess, factors: list[Factors], length: int = 40
 ) -> tuple[Guess, gtsam.Values]:
     """The guess turned to the heading that the first moving stretch fits best, and its solution.
 
@@ -71,10 +108,7 @@ def choose_yaw(
     speed = np.linalg.norm(guess.v_world_mps[:, :2], axis=1)
     moving = int(np.argmax(speed > 0.5 * speed.max())) if len(speed) else 0
     n = min(len(factors), moving + length)
-    graph = gtsam.NonlinearFactorGraph()
-    for group in factors[:n]:
-        for factor in group:
-            graph.add(factor)
+    graph = as_graph(factor for group in factors[:n] for factor in group)
     best: tuple[float, Guess, gtsam.Values] | None = None
     for turn in TURNS_RAD if guess.yaw_known else (0.0,):
         turned = guess.turned(turn)
@@ -105,4 +139,3 @@ def yaw_sigma_rad(R_world_veh: np.ndarray, cov_rotation: np.ndarray) -> float:
     """Sigma of the yaw from a rotation covariance (3, 3) in the vehicle frame."""
     up = R_world_veh[2]
     return float(np.sqrt(up @ cov_rotation @ up))
-

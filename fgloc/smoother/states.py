@@ -1,9 +1,11 @@
 """Estimates collected epoch by epoch, and their turn from GTSAM's tangent to the world's."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fgloc.measurements import Array
-from fgloc.timing import Instants
+from fgloc.smoother.model import Model
 from fgloc.trajectory import Trajectory
 
 
@@ -15,18 +17,22 @@ class StateLog:
         self.p = np.full((n, 3), np.nan)
         self.v = np.full((n, 3), np.nan)
         self.cov = np.full((n, 6, 6), np.nan)
+        self.gyro_bias = np.zeros((n, 3))
 
-    def put(self, k: int, R: Array, p: Array, v: Array, cov: Array) -> None:
+    def put(self, k: int, R: Array, p: Array, v: Array, cov: Array, gyro_bias: Array) -> None:
         """Write one epoch."""
         self.R[k], self.p[k], self.v[k], self.cov[k] = R, p, v, cov
+        self.gyro_bias[k] = gyro_bias
 
-    def trajectory(self, t_ns: Instants, keep: Array | None = None) -> Trajectory:
-        """The epochs (all, or those kept) as a trajectory with covariance in the world frame."""
-        which = np.isfinite(self.p).all(-1) if keep is None else keep
-        return Trajectory(
-            t_ns[which], self.p[which], self.R[which], self.v[which],
-            pose_cov_to_world(self.R[which], self.cov[which]),
+    def trajectory(self, model: Model) -> Trajectory:
+        """The epochs as the vehicle origin's trajectory, with covariance in the world frame."""
+        of_imu = Trajectory(
+            model.epochs.t_ns, self.p, self.R, None, pose_cov_to_world(self.R, self.cov),
+            model.p_veh_imu_m,
         )  # fmt: skip
+        arm = np.cross(model.epochs.rate_radps - self.gyro_bias, -model.p_veh_imu_m)
+        v = self.v + np.einsum("nij,nj->ni", self.R, arm)
+        return replace(of_imu.at_point(np.zeros(3)), v_world_mps=v)
 
 
 def pose_cov_to_world(R: Array, cov: Array) -> Array:

@@ -1,11 +1,15 @@
 """iSAM2 behind one small face, whole or over a fixed lag."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from typing import SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
 
 from fgloc.measurements import Array
+
+Stamps = Mapping[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex]
+"""Times in s by the key of a variable; GTSAM's own type."""
 
 WILDFIRE = 0.01
 """Changes of the linear solution below this are not passed on down the tree."""
@@ -31,17 +35,20 @@ class WholeTree:
     def __init__(self, factorization: str, threshold: float) -> None:
         self.factorization = factorization
         self.isam = gtsam.ISAM2(parameters(factorization, threshold))
-        self._solver = self.isam
+        self._solver: gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother = self.isam
 
     def update(
-        self, factors: Iterable[object], values: gtsam.Values, stamps: dict[int, float]
+        self,
+        factors: Iterable[gtsam.NonlinearFactor],
+        values: gtsam.Values,
+        stamps: Stamps,
     ) -> None:
         """Add factors and the first values of new variables.
 
         `stamps` gives the time in s of each new variable, and a newer one to those that later
         factors will still touch. Raises RuntimeError where the system is indeterminate.
         """
-        self.isam.update(_graph(factors), values)
+        self.isam.update(as_graph(factors), values)
 
     def iterate(self) -> None:
         """One more iteration on what is there."""
@@ -75,15 +82,19 @@ class FixedLagTree(WholeTree):
 
     def __init__(self, factorization: str, threshold: float, lag_s: float) -> None:
         self.factorization = factorization
-        params = parameters(factorization, threshold)
-        self._solver = gtsam.IncrementalFixedLagSmoother(lag_s, params)
-        self.isam = self._solver.getISAM2()
+        self._solver = self._lag = gtsam.IncrementalFixedLagSmoother(
+            lag_s, parameters(factorization, threshold)
+        )
+        self.isam = self._lag.getISAM2()
 
     def update(
-        self, factors: Iterable[object], values: gtsam.Values, stamps: dict[int, float]
+        self,
+        factors: Iterable[gtsam.NonlinearFactor],
+        values: gtsam.Values,
+        stamps: Stamps,
     ) -> None:
         """As of the whole tree; what is older than the newest stamp by the lag is marginalised."""
-        self._solver.update(_graph(factors), values, stamps)
+        self._lag.update(as_graph(factors), values, stamps)
 
 
 def relinearized(tree: WholeTree, rounds: int = 30, tolerance: float = 1e-7) -> WholeTree:
@@ -103,7 +114,8 @@ def relinearized(tree: WholeTree, rounds: int = 30, tolerance: float = 1e-7) -> 
     return fresh
 
 
-def _graph(factors: Iterable[object]) -> gtsam.NonlinearFactorGraph:
+def as_graph(factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+    """Factors as a graph, in their order."""
     graph = gtsam.NonlinearFactorGraph()
     for factor in factors:
         graph.add(factor)

@@ -1,0 +1,188 @@
+"""What fgloc does, as functions: open or make a drive, estimate, score, compare.
+
+The same functions stand behind the command line. A drive is a `Drive`, a drive folder, or a name
+that `fgloc datasets` lists.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from fgloc.comparison import Comparison, Method, compare_methods
+from fgloc.config import Mode, SmoothConfig, load_config
+from fgloc.drive import Drive
+from fgloc.errors import InputError
+from fgloc.evaluation.metric import Metric
+from fgloc.result import Result
+from fgloc.trajectory import Trajectory
+
+DriveLike = Drive | str | Path
+
+
+def load(drive: DriveLike, *, seed: int | None = None, **options: Any) -> Drive:
+    """The drive of a name or folder; a `Drive` is given back as it is.
+
+    A scenario takes a seed and its options, such as `duration_s`. Raises InputError for an
+    unknown name (with the nearest valid one) or option, DriveError for a faulty folder.
+    """
+    if not isinstance(drive, Drive):
+        from fgloc.datasets import open_drive
+
+        return open_drive(drive, seed=seed, **options)
+    if seed is not None or options:
+        raise InputError(
+            f"drive {drive.name!r} is made already; a seed and options go with a scenario's name"
+        )
+    return drive
+
+
+def make(scenario: str, *, seed: int = 0, **options: Any) -> Drive:
+    """A simulated drive; equal seeds and options give equal drives, bit for bit."""
+    from fgloc.datasets import make as make_scenario
+
+    return make_scenario(scenario, seed, **options)
+
+
+def smooth(
+    drive: DriveLike,
+    mode: Mode | None = None,
+    *,
+    config: str | Path | SmoothConfig | None = None,
+    lag_s: float | None = None,
+    smoothed: bool = False,
+    settings: Iterable[str] = (),
+    seed: int | None = None,
+) -> Result:
+    """Estimate a drive's trajectory with the graph.
+
+    mode      'batch' (the default: the whole drive at once), 'incremental' or 'fixed-lag'
+    config    a TOML file or a `SmoothConfig`; everything else is laid over it
+    lag_s     of 'fixed-lag', in seconds
+    smoothed  causal modes: give the last estimate of every state as well
+    settings  single settings as text: `["gnss.loss=none"]`
+    seed      of a scenario that is given by name; without one, the configuration's
+
+    Raises InputError for anything wrong in these, DriveError where the drive lacks what the graph
+    needs, SolverError where it cannot be solved.
+    """
+    in_force = configure(mode, config=config, lag_s=lag_s, smoothed=smoothed, settings=settings,
+                         seed=seed)  # fmt: skip
+    opened, in_force = prepare(drive, in_force, seed)
+    from fgloc.smoother import smooth as run
+
+    return run(opened, in_force)
+
+
+def configure(
+    mode: Mode | None = None,
+    *,
+    config: str | Path | SmoothConfig | None = None,
+    lag_s: float | None = None,
+    smoothed: bool = False,
+    settings: Iterable[str] = (),
+    seed: int | None = None,
+) -> SmoothConfig:
+    """The configuration that `smooth` runs with; InputError for what is wrong or contradicts."""
+    base = config if isinstance(config, SmoothConfig) else None
+    path = None if base is not None or config is None else Path(str(config))
+    in_force = load_config(path, settings, base, mode=mode, lag_s=lag_s, seed=seed,
+                           smoothed=smoothed or None)  # fmt: skip
+    if lag_s is not None and in_force.mode != "fixed-lag":
+        raise InputError(f"a lag goes with mode fixed-lag, not with {in_force.mode}")
+    if smoothed and in_force.mode == "batch":
+        raise InputError(
+            "smoothed goes with the causal modes incremental and fixed-lag; what batch gives is "
+            "smoothed already"
+        )
+    return in_force
+
+
+def prepare(
+    drive: DriveLike, config: SmoothConfig, seed: int | None = None
+) -> tuple[Drive, SmoothConfig]:
+    """The drive opened, and the configuration with the seed that a scenario was made with.
+
+    A seed in a configuration is that of the run it was saved from: it makes a scenario again and
+    says nothing to a recorded drive. A seed given beside it must fit the drive.
+    """
+    from fgloc.datasets.registry import DEFAULT_SEED
+
+    if not is_scenario(drive):
+        return load(drive, seed=seed), config
+    used = DEFAULT_SEED if config.seed is None else config.seed
+    return load(drive, seed=used), config.model_copy(update={"seed": used})
+
+
+def baseline(drive: DriveLike, method: str, *, seed: int | None = None) -> Result:
+    """Estimate a drive's trajectory with a documented filter; `raw:SOURCE` is that source alone.
+
+    Raises InputError for an unknown method, with the nearest valid name and the list of them.
+    """
+    from fgloc import baselines
+
+    baselines.check(method)
+    return baselines.run(load(drive, seed=seed), method)
+
+
+def score(estimate: Trajectory, truth: Trajectory | None, **options: Any) -> dict[str, Metric]:
+    """Metrics by name; one that cannot be given has the value None and says why.
+
+    Options are those of `fgloc.evaluation.score`, e.g. `score_from_s`. Raises InputError where
+    there is no truth.
+    """
+    if truth is None:
+        raise InputError("there is no truth to score against: this drive has none")
+    from fgloc.evaluation import score as score_trajectory
+
+    return score_trajectory(estimate, truth, **options)
+
+
+def compare(
+    drives: DriveLike | Iterable[DriveLike],
+    methods: Sequence[str],
+    *,
+    seeds: Iterable[int] | None = None,
+    score_from_s: float = 0.0,
+) -> Comparison:
+    """Drives through methods: metrics of each, and differences to the first method, paired in time.
+
+    A method is a graph (`graph-batch`, `graph-incremental`, `graph-lag`) or a baseline. `seeds`
+    repeats drives that are scenarios' names. A method that fails on a drive is a row that says so.
+    Raises InputError for an unknown method before anything is run.
+    """
+    one = isinstance(drives, Drive | str | Path)
+    several: list[DriveLike] = [drives] if one else list(drives)  # type: ignore[list-item, arg-type]
+    chosen = [_method(name) for name in methods]
+    return compare_methods(_each(several, seeds), chosen, score_from_s)
+
+
+def _each(
+    drives: Sequence[DriveLike], seeds: Iterable[int] | None
+) -> Iterator[tuple[Drive, int | None]]:
+    """Drives with the seed each was made with, opened one by one as they are wanted."""
+    wanted = None if seeds is None else list(seeds)
+    if wanted is not None and not any(map(is_scenario, drives)):
+        raise InputError("seeds go with scenarios, and none of the drives is given as one by name")
+    for drive in drives:
+        for seed in wanted if wanted is not None and is_scenario(drive) else (None,):
+            yield load(drive, seed=seed), seed
+
+
+def is_scenario(drive: DriveLike) -> bool:
+    """Whether a name stands for a scenario, as `open_drive` would read it."""
+    from fgloc.datasets import available
+    from fgloc.datasets.drive_folder import is_drive_folder
+
+    names = {info.name for info in available() if info.kind == "scenario"}
+    return isinstance(drive, str) and drive in names and not is_drive_folder(drive)
+
+
+def _method(name: str) -> Method:
+    """A method's name with the function that runs it."""
+    from fgloc import baselines, smoother
+
+    if name in smoother.METHODS:
+        config = load_config(mode=smoother.METHODS[name])
+        return Method(name, lambda drive: smoother.smooth(drive, config))
+    baselines.check(name, others=tuple(smoother.METHODS))
+    return Method(name, lambda drive: baselines.run(drive, name))

@@ -1,0 +1,53 @@
+"""Documented filters and other yardsticks that the graph is held against, by name.
+
+Each algorithm is a file of its own and is imported when it is used.
+"""
+
+import difflib
+import time
+
+from fgloc.drive import Drive
+from fgloc.errors import InputError
+from fgloc.result import Result
+
+__all__ = ["RAW", "available", "check", "run"]
+
+RAW = "raw:"
+"""What the name of a source alone begins with: raw:gnss."""
+
+
+def available() -> list[str]:
+    """The names of all methods."""
+    return [f"{RAW}gnss"]
+
+
+def check(method: str, others: tuple[str, ...] = ()) -> None:
+    """Raise InputError, naming the nearest method and all others, where there is none so named.
+
+    `others` are methods that are valid where this is asked. Whether a drive has the source that
+    follows `raw:` is for `run` to say.
+    """
+    if method.startswith(RAW):
+        return
+    valid = [*others, *available()]
+    near = difflib.get_close_matches(method.lower(), valid, n=1, cutoff=0.0)[0]
+    kind = "method" if others else "baseline"
+    raise InputError(
+        f"no {kind} named {method!r}; the nearest is {near!r} (there are: {', '.join(valid)})"
+    )
+
+
+def run(drive: Drive, method: str) -> Result:
+    """One method's estimate of a drive; its wall time is in the summary.
+
+    Raises InputError for an unknown method, DriveError where the drive lacks what it needs.
+    """
+    check(method)
+    from fgloc.baselines.raw import run_raw
+
+    began = time.perf_counter()
+    result = run_raw(drive, method.removeprefix(RAW))
+    wall_s = time.perf_counter() - began
+    duration_s = float(result.summary["duration_s"])
+    result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
+    return result

@@ -1,0 +1,94 @@
+"""Method `raw:SOURCE`: one source alone, taken as it is, as the estimate.
+
+What everything else has to be better than. Each GNSS fix is a state: the antenna's position with
+the covariance that the receiver states. Between fixes the evaluation interpolates: by a cubic
+curve where the receiver gives velocities, by a straight line where it does not.
+"""
+
+import difflib
+from dataclasses import asdict
+
+import numpy as np
+
+from fgloc.baselines import RAW
+from fgloc.drive import Drive
+from fgloc.errors import DriveError, InputError
+from fgloc.measurements import Array, GnssFixes
+from fgloc.result import Result
+from fgloc.trajectory import Trajectory
+from fgloc.verdicts import SourceVerdicts, Verdict, counts
+
+UNKNOWN_ROTATION_RAD2 = np.pi**2 / 3
+"""Variance of an angle uniform over the circle: of the attitude a fix says nothing."""
+
+
+def run_raw(drive: Drive, source: str) -> Result:
+    """The estimate that a source gives alone.
+
+    Raises InputError where the drive has no such source or it does not tell positions.
+    """
+    table = _positions(drive, source)
+    method = f"{RAW}{source}"
+    verdicts = {
+        name: SourceVerdicts.of(name, other, Verdict.UNUSED, f"{method} takes {source} alone")
+        for name, other in drive.tables.items()
+    }
+    rows = _judge(table, verdicts[source])
+    trajectory = _trajectory(table, rows, drive.rig.p_veh_ant_m)
+    summary = {
+        "drive": drive.name,
+        "method": method,
+        "mode": "raw",
+        "states": len(trajectory),
+        "factors": 0,
+        "counts": counts(verdicts),
+        "origin": asdict(drive.origin),
+        "duration_s": float(trajectory.t_ns[-1] - trajectory.t_ns[0]) / 1e9,
+    }
+    return Result(trajectory, verdicts, summary, method, causal=True)
+
+
+def _positions(drive: Drive, source: str) -> GnssFixes:
+    """The table of a source that tells positions."""
+    table = drive.tables.get(source)
+    if isinstance(table, GnssFixes) and len(table):
+        return table
+    able = [name for name, other in drive.tables.items() if isinstance(other, GnssFixes)]
+    if not able:
+        raise InputError(f"drive {drive.name!r} has no source that tells positions by itself")
+    near = difflib.get_close_matches(source, able, n=1, cutoff=0.0)[0]
+    fault = "it has no such source"
+    if source in drive.tables:
+        fault = f"{source} does not tell positions"
+    raise InputError(
+        f"{RAW}{source} on drive {drive.name!r}: {fault}; the nearest is {RAW + near!r} "
+        f"(there are: {', '.join(RAW + name for name in able)})"
+    )
+
+
+def _judge(fixes: GnssFixes, verdicts: SourceVerdicts) -> np.ndarray:
+    """Rows (n,) that can be a state: finite, and the first such of their instant."""
+    finite = np.isfinite(fixes.p_world_ant_m).all(-1)
+    finite &= np.isfinite(fixes.cov_world_m2).all((-1, -2))
+    usable = np.flatnonzero(finite)
+    _, first = np.unique(fixes.t_ns[usable], return_index=True)
+    verdicts.set(finite, Verdict.DUPLICATE, "an earlier row has the same t_ns")
+    verdicts.set(~finite, Verdict.INVALID, "position or covariance is not finite")
+    verdicts.set(usable[first], Verdict.USED)
+    if not len(usable):
+        raise DriveError(f"none of the {len(fixes)} {verdicts.source} rows is finite")
+    return usable[first]
+
+
+def _trajectory(fixes: GnssFixes, rows: np.ndarray, p_veh_ant_m: Array) -> Trajectory:
+    velocity = fixes.v_world_mps[rows]
+    cov = np.zeros((len(rows), 6, 6))
+    cov[:, :3, :3] = fixes.cov_world_m2[rows]
+    cov[:, 3:, 3:] = UNKNOWN_ROTATION_RAD2 * np.eye(3)
+    return Trajectory(
+        fixes.t_ns[rows],
+        fixes.p_world_ant_m[rows],
+        v_world_mps=velocity if np.isfinite(velocity).all() else None,
+        cov=cov,
+        p_veh_point_m=p_veh_ant_m,
+    )

@@ -1,0 +1,140 @@
+"""What commands have in common: options, what their text means, and the check against repeats."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+class Command(click.Command):
+    """A command that refuses an option given twice, where the last would win without a word."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        _, _, given = self.make_parser(ctx).parse_args(args=list(args))
+        for param in set(given):
+            once = isinstance(param, click.Option) and not param.multiple
+            if once and given.count(param) > 1:
+                raise click.UsageError(f"option {param.opts[0]} is given twice; give it once", ctx)
+        return super().parse_args(ctx, args)
+
+
+class Numbers(click.ParamType):
+    """Numbers with something between them, such as FIRST:LEN:PERIOD."""
+
+    def __init__(self, form: str, between: str) -> None:
+        self.name, self.between = form, between
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
+        if isinstance(value, tuple):
+            return value
+        parts = value.split(self.between)
+        names = self.name.split(self.between)
+        try:
+            numbers = tuple(float(part) for part in parts)
+        except ValueError:
+            numbers = ()
+        if len(numbers) != len(names):
+            self.fail(
+                f"{value!r} is not of the form {self.name}: "
+                f"{len(names)} numbers separated by {self.between!r}", param, ctx,
+            )  # fmt: skip
+        return numbers
+
+
+class Seconds(click.FloatRange):
+    """A finite number of seconds, 0 or more unless `signed`."""
+
+    def __init__(self, *, signed: bool = False) -> None:
+        super().__init__(min=None if signed else 0)
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        seconds = float(super().convert(value, param, ctx))
+        if not math.isfinite(seconds):
+            self.fail(f"{value} is not a finite number of seconds", param, ctx)
+        return seconds
+
+
+class Setting(click.ParamType):
+    """`key=value`, kept as text."""
+
+    name = "KEY=VALUE"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        key, equals, _ = value.partition("=")
+        if not equals or not key.strip():
+            self.fail(f"{value!r} is not of the form key=value", param, ctx)
+        return str(value)
+
+
+def check_settings(settings: tuple[str, ...], **given: Any) -> None:
+    """Refuse a setting that is there twice, or once more as an option of its own."""
+    keys = [setting.partition("=")[0].strip() for setting in settings]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise click.UsageError(f"--set {key} is given twice; give it once")
+        if given.get(key) not in (None, False):
+            raise click.UsageError(f"--set {key} and the option of that name; give one of them")
+
+
+def parse_settings(settings: tuple[str, ...]) -> dict[str, Any]:
+    """Settings as keyword arguments: numbers and truth values as such, all else as text."""
+    import tomllib
+
+    values: dict[str, Any] = {}
+    for setting in settings:
+        key, _, text = (part.strip() for part in setting.partition("="))
+        try:
+            values[key] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[key] = text
+    return values
+
+
+def with_options(*options: Callable[[F], F]) -> Callable[[F], F]:
+    """Several option decorators as one, in the order of the help."""
+
+    def decorate(function: F) -> F:
+        for option in reversed(options):
+            function = option(function)
+        return function
+
+    return decorate
+
+
+def out(metavar: str, what: str) -> Callable[[F], F]:
+    """Where a command writes."""
+    return click.option(
+        "--out", required=True, metavar=metavar, type=click.Path(path_type=Path), help=what
+    )
+
+
+drive_argument = click.argument("drive", metavar="DRIVE")
+out_drive = with_options(
+    out("DRIVE", "Folder that the drive is written to; made where it is missing."),
+    click.option("--overwrite", is_flag=True, help="Replace a drive that is there already."),
+)
+out_dir = out("DIR", "Folder for the results; made where it is missing.")
+seed = click.option(
+    "--seed", type=click.IntRange(min=0), metavar="N", help="Seed of a scenario given by name."
+)
+settings = click.option(
+    "--set", "settings", type=Setting(), multiple=True, metavar="KEY=VALUE",
+    help="One option more, by name; may be given several times.",
+)  # fmt: skip
+score_from = click.option(
+    "--score-from", "score_from_s", type=Seconds(), default=0.0, metavar="S",
+    help="Score from so many seconds after the estimate's start on.",
+)  # fmt: skip
+no_report = click.option("--no-report", is_flag=True, help="Leave report.html out.")
+as_json = click.option(
+    "--json", "as_json", is_flag=True,
+    help="Print the result as JSON on standard output instead of tables.",
+)  # fmt: skip

@@ -1,0 +1,35 @@
+"""A whole result held against the truth: its errors and its metrics, outages included."""
+
+from dataclasses import dataclass
+
+from fgloc.evaluation.against_truth import Errors, errors
+from fgloc.evaluation.gaps import gnss_outages
+from fgloc.evaluation.metric import Metric
+from fgloc.evaluation.scoring import score_errors
+from fgloc.result import Result
+from fgloc.timing import seconds_to_ns
+from fgloc.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What the truth says of a trajectory: a row of errors per instant, and the named metrics."""
+
+    errors: Errors
+    metrics: dict[str, Metric]
+
+
+def judge(
+    result: Result, truth: Trajectory, *, score_from_s: float = 0.0, smoothed: bool = False
+) -> Judgement:
+    """Judge a result's trajectory, or the smoothed one that a causal method gave beside it.
+
+    Truth earlier than `score_from_s` after the estimate's first state is left out. Raises
+    InputError where the two tell of different points and neither has an attitude.
+    """
+    estimate = result.trajectory
+    if smoothed and result.smoothed is not None:
+        estimate = result.smoothed
+    start_ns = int(estimate.t_ns[0]) + seconds_to_ns(score_from_s) if len(estimate) else None
+    found = errors(estimate, truth, score_from_ns=start_ns)
+    return Judgement(found, score_errors(found, outages=gnss_outages(result)))

@@ -1,0 +1,250 @@
+"""A result as a folder of files: trajectories, the verdict on every measurement, the summary."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fgloc.drive import Drive
+from fgloc.errors import InputError
+from fgloc.evaluation import Judgement, judge
+from fgloc.frames import Origin
+from fgloc.result import Event, Result
+from fgloc.timing import NS_PER_S
+from fgloc.trajectory import Trajectory
+from fgloc.verdicts import SourceVerdicts, Verdicts
+
+TRAJECTORY, SMOOTHED = "trajectory", "trajectory_smoothed"
+SUMMARY, VERDICTS, CONFIG, REPORT = "summary.json", "verdicts.csv", "config.toml", "report.html"
+VERDICT_COLUMNS = (
+    "source", "t_ns", "received_ns", "verdict", "nis", "dof", "threshold", "reason",
+)  # fmt: skip
+_SUFFIXES = ("tum", "csv", "geojson")
+FILES = (
+    *(f"{stem}.{suffix}" for stem in (TRAJECTORY, SMOOTHED) for suffix in _SUFFIXES),
+    SUMMARY, VERDICTS, CONFIG, REPORT,
+)  # fmt: skip
+"""Everything that a result folder may hold; these are replaced when it is written again."""
+
+
+def check_folder(folder: Path) -> None:
+    """Raise InputError where results cannot or should not go: a file, or a drive's folder."""
+    from fgloc.datasets.drive_folder import is_drive_folder
+
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; results go into a folder: give another name")
+    if is_drive_folder(folder):
+        raise InputError(f"{folder}: is a drive folder; choose another folder for the results")
+
+
+def write_result(
+    folder: Path,
+    drive: Drive,
+    result: Result,
+    *,
+    score_from_s: float = 0.0,
+    report: bool = True,
+) -> dict[str, Any]:
+    """Write every file of a result and give back what `summary.json` holds.
+
+    The folder is made where it is missing; files of an older result in it are replaced. Raises
+    InputError where it cannot be written or holds a drive.
+    """
+    check_folder(folder)
+    judged = None
+    if drive.truth is not None:
+        judged = judge(result, drive.truth, score_from_s=score_from_s)
+    summary = summarize(drive, result, judged, score_from_s)
+    with _writing(folder):
+        _clear(folder)
+        _write_trajectory(folder, TRAJECTORY, result.trajectory, drive)
+        if result.smoothed is not None:
+            _write_trajectory(folder, SMOOTHED, result.smoothed, drive)
+        _write_text(folder / VERDICTS, format_verdicts(result.verdicts))
+        _write_text(folder / CONFIG, format_config(drive, result))
+        if report:
+            _write_report(folder / REPORT, drive, result, judged)
+        _write_text(folder / SUMMARY, format_json(summary))
+    return summary
+
+
+def write_scores(folder: Path, summary: Mapping[str, Any]) -> None:
+    """Write the summary of scores alone; files of an older result in the folder are taken away."""
+    check_folder(folder)
+    with _writing(folder):
+        _clear(folder)
+        _write_text(folder / SUMMARY, format_json(summary))
+
+
+def read_summary(path: Path) -> dict[str, Any]:
+    """The content of a `summary.json`; InputError where it is missing or no such file."""
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as err:
+        raise InputError(
+            f"{path}: no such file; a result folder, as fgloc smooth writes it, has one"
+        ) from err
+    except (OSError, ValueError) as err:
+        raise InputError(f"{path}: is not readable as JSON: {err}") from err
+    if not isinstance(values, dict):
+        raise InputError(f"{path}: holds no summary of a result")
+    return values
+
+
+def read_result_trajectory(path: Path) -> Trajectory:
+    """A trajectory file; one of a result folder tells of the point that the summary there names.
+
+    All others are of the vehicle's origin. Raises DriveError where the file is missing or wrong.
+    """
+    from fgloc.datasets.trajectory_files import read_trajectory
+
+    trajectory = read_trajectory(path)
+    of_result = path.stem in (TRAJECTORY, SMOOTHED) and (path.parent / SUMMARY).is_file()
+    summary = read_summary(path.parent / SUMMARY) if of_result else {}
+    if "p_veh_point_m" not in summary:
+        return trajectory
+    R = trajectory.R_world_veh if summary.get("attitude") else None  # TUM always has one
+    return replace(trajectory, R_world_veh=R, p_veh_point_m=np.array(summary["p_veh_point_m"]))
+
+
+def summarize(
+    drive: Drive, result: Result, judged: Judgement | None, score_from_s: float = 0.0
+) -> dict[str, Any]:
+    """What `summary.json` holds: plain values, with null for what is not a finite number."""
+    config = result.config
+    summary = {
+        **result.summary,
+        "causal": result.causal,
+        "start_ns": drive.start_ns,
+        "p_veh_point_m": result.trajectory.p_veh_point_m,
+        "attitude": result.trajectory.R_world_veh is not None,
+        "seed": config.get("seed"),
+        "versions": config.get("versions", {}),
+        "about": vars(drive.about),
+        "origin": vars(drive.origin),
+        "events": [_event(event, drive.start_ns) for event in result.events],
+    }
+    if judged is not None:
+        summary |= {"score_from_s": score_from_s, "metrics": _plain_metrics(judged)}
+    if drive.truth is not None and result.smoothed is not None:
+        smoothed = judge(result, drive.truth, score_from_s=score_from_s, smoothed=True)
+        summary["smoothed_metrics"] = _plain_metrics(smoothed)
+    clean: dict[str, Any] = jsonable(summary)
+    return clean
+
+
+def format_verdicts(verdicts: Verdicts) -> str:
+    """The text of `verdicts.csv`: one row per measurement, source by source; NaN is left empty."""
+    rows = [row for table in verdicts.values() for row in _verdict_rows(table)]
+    return ",".join(VERDICT_COLUMNS) + "\n" + "".join(rows)
+
+
+def format_config(drive: Drive, result: Result) -> str:
+    """The text of `config.toml`: what was in force, fit to be given to `--config` again."""
+    import tomli_w
+
+    config = dict(result.config)
+    versions = ", ".join(f"{name} {text}" for name, text in config.pop("versions", {}).items())
+    about = f" ({drive.about.source})" if drive.about.source else ""
+    remarks = [
+        f"What was in force: method {result.method}",
+        f"Drive: {drive.name}{about}",
+        f"Versions: {versions}" if versions else "",
+    ]
+    head = "".join(f"# {' '.join(remark.split())}\n" for remark in remarks if remark)
+    return f"{head}\n{tomli_w.dumps(config)}" if config else head
+
+
+def format_json(values: Mapping[str, Any]) -> str:
+    """JSON text of plain values; what is not a finite number becomes null."""
+    return json.dumps(jsonable(values), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def jsonable(value: Any) -> Any:
+    """Numpy's values as Python's, and NaN and infinity, which JSON does not know, as None."""
+    if isinstance(value, Mapping):
+        return {str(key): jsonable(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return jsonable(value.tolist())
+    if isinstance(value, list | tuple):
+        return [jsonable(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+@contextmanager
+def _writing(folder: Path) -> Iterator[None]:
+    """Make the folder; a file that cannot be written is the user's to mend."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as err:
+        raise InputError(f"{err.filename or folder}: cannot be written: {err.strerror}") from err
+
+
+def _clear(folder: Path) -> None:
+    """Take away what an older result left, so that no file of it stands among the new ones."""
+    for name in FILES:
+        (folder / name).unlink(missing_ok=True)
+
+
+def _write_trajectory(folder: Path, stem: str, trajectory: Trajectory, drive: Drive) -> None:
+    from fgloc.datasets import trajectory_files as files
+
+    origin: Origin = drive.origin
+    files.write_tum(folder / f"{stem}.tum", trajectory)
+    files.write_trajectory_csv(folder / f"{stem}.csv", trajectory)
+    files.write_geojson(folder / f"{stem}.geojson", trajectory, origin, truth=drive.truth)
+
+
+def _write_report(path: Path, drive: Drive, result: Result, judged: Judgement | None) -> None:
+    from fgloc.report import write_report
+
+    scores, errors = (judged.metrics, judged.errors) if judged else (None, None)
+    write_report(path, drive=drive, result=result, scores=scores, errors=errors)
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _event(event: Event, start_ns: int) -> dict[str, Any]:
+    t_s = (event.t_ns - start_ns) / NS_PER_S
+    return {"t_ns": event.t_ns, "t_s": t_s, "kind": event.kind, "text": event.text}
+
+
+def _plain_metrics(judged: Judgement) -> dict[str, Any]:
+    return {name: metric.to_dict() for name, metric in judged.metrics.items()}
+
+
+def _verdict_rows(table: SourceVerdicts) -> Iterator[str]:
+    """Lines of one source; texts repeat, so each is quoted once."""
+    verdict, reason = table.verdict.tolist(), table.reason.tolist()
+    quoted = {text: _cell(text) for text in {*verdict, *reason, table.source}}
+    columns = zip(
+        table.t_ns.tolist(), table.received_ns.tolist(), verdict, _numbers(table.nis),
+        table.dof.tolist(), _numbers(table.threshold), reason, strict=True,
+    )  # fmt: skip
+    source = quoted[table.source]
+    for t, received, fate, nis, dof, threshold, why in columns:
+        yield f"{source},{t},{received},{quoted[fate]},{nis},{dof},{threshold},{quoted[why]}\n"
+
+
+def _numbers(column: np.ndarray) -> list[str]:
+    """Shortest exact texts, empty for NaN, which most are."""
+    texts = [""] * len(column)
+    for row in np.flatnonzero(~np.isnan(column)).tolist():
+        texts[row] = repr(float(column[row]))
+    return texts
+
+
+def _cell(text: str) -> str:
+    """A CSV cell, quoted where it has to be."""
+    text = str(text)
+    return '"' + text.replace('"', '""') + '"' if set(text) & set(',"\r\n') else text

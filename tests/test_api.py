@@ -1,0 +1,184 @@
+"""The library's public surface, as a user meets it."""
+
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import fgloc
+from fgloc import baselines
+from fgloc.datasets.degrade import degrade
+from fgloc.errors import InputError
+from fgloc.verdicts import Verdict
+
+SURFACE = {
+    "load", "make", "smooth", "baseline", "score", "compare",
+    "Drive", "Rig", "ImuNoise", "About", "Origin", "GnssFixes", "ImuSamples", "WheelSpeeds",
+    "Trajectory", "Result", "Event", "Verdict", "SourceVerdicts", "Metric", "Comparison",
+    "SmoothConfig", "FglocError", "InputError", "DriveError", "ConfigError", "SolverError",
+    "__version__",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return fgloc.make("city", seed=3, duration_s=30.0)
+
+
+@pytest.fixture(scope="module")
+def result(drive):
+    return fgloc.smooth(drive)
+
+
+def test_the_surface_is_what_all_says():
+    assert set(fgloc.__all__) == SURFACE
+    for name in SURFACE:
+        assert getattr(fgloc, name) is not None
+    assert set(dir(fgloc)) >= SURFACE
+    with pytest.raises(AttributeError, match="no attribute 'smoth'"):
+        fgloc.smoth  # noqa: B018
+
+
+def test_importing_the_package_imports_nothing_heavy():
+    code = "import fgloc, sys; print(*sorted({m.partition('.')[0] for m in sys.modules}))"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    heavy = {"numpy", "gtsam", "scipy", "pydantic", "click", "rich", "plotly", "pymap3d"}
+    assert not heavy & set(shown.stdout.split())
+
+
+def test_four_lines(drive):
+    drive = fgloc.load(drive)
+    result = fgloc.smooth(drive, mode="batch")
+    scores = fgloc.score(result.trajectory, drive.truth)
+    table = fgloc.compare(drive, ["raw:gnss", "graph-batch"])
+    assert scores["horizontal_rmse_m"].value < 1.5
+    assert [row.method for row in table.rows] == ["raw:gnss", "graph-batch"]
+
+
+def test_load_takes_a_drive_a_name_and_a_folder(drive, tmp_path):
+    from fgloc.datasets.drive_folder import write_drive
+
+    assert fgloc.load(drive) is drive
+    assert fgloc.load("city", seed=3, duration_s=30.0).gnss.same_as(drive.gnss)
+    write_drive(drive, tmp_path / "city")
+    assert fgloc.load(tmp_path / "city").gnss.same_as(drive.gnss)
+    with pytest.raises(InputError, match="made already"):
+        fgloc.load(drive, seed=1)
+
+
+def test_a_config_may_be_a_file_a_model_or_settings(drive, tmp_path):
+    path = tmp_path / "config.toml"
+    path.write_text('[gnss]\nloss = "none"\n')
+    model = fgloc.SmoothConfig.model_validate({"gnss": {"loss": "none"}})
+    found = [
+        fgloc.smooth(drive, config=path), fgloc.smooth(drive, config=model),
+        fgloc.smooth(drive, settings=["gnss.loss=none"]),
+    ]  # fmt: skip
+    assert [run.config["gnss"]["loss"] for run in found] == ["none"] * 3
+    assert found[0].trajectory.same_as(found[1].trajectory)
+    assert found[0].trajectory.same_as(found[2].trajectory)
+
+
+def test_contradictions_are_refused(drive):
+    with pytest.raises(InputError, match="a lag goes with mode fixed-lag"):
+        fgloc.smooth(drive, lag_s=3.0)
+    with pytest.raises(InputError, match="smoothed goes with the causal modes"):
+        fgloc.smooth(drive, "batch", smoothed=True)
+    with pytest.raises(InputError, match="there is no truth"):
+        fgloc.score(drive.truth, None)
+
+
+def test_a_configurations_seed_makes_the_scenario_again():
+    from fgloc.api import prepare
+
+    opened, config = prepare("city", fgloc.SmoothConfig(seed=5))
+    assert opened.gnss.same_as(fgloc.make("city", seed=5).gnss)
+    opened, config = prepare("city", fgloc.SmoothConfig())
+    assert config.seed == 0
+    opened, config = prepare(opened, fgloc.SmoothConfig(seed=5))
+    assert config.seed == 5
+
+
+def test_raw_gnss_is_the_fixes(drive):
+    result = fgloc.baseline(drive, "raw:gnss")
+    estimate = result.trajectory
+    np.testing.assert_array_equal(estimate.p_world_m, drive.gnss.p_world_ant_m)
+    np.testing.assert_array_equal(estimate.cov[:, :3, :3], drive.gnss.cov_world_m2)
+    np.testing.assert_array_equal(estimate.p_veh_point_m, drive.rig.p_veh_ant_m)
+    assert np.linalg.eigvalsh(estimate.cov).min() > 0
+    assert estimate.R_world_veh is None and result.causal
+    assert result.summary["counts"]["gnss"] == {"used": len(drive.gnss)}
+    assert result.summary["counts"]["imu"] == {"unused": len(drive.imu)}
+
+
+def test_raw_gnss_judges_duplicates_and_broken_rows(drive):
+    fixes = drive.gnss
+    position = fixes.p_world_ant_m.copy()
+    position[4] = np.nan
+    t_ns = fixes.t_ns.copy()
+    t_ns[5] = t_ns[4]
+    t_ns[7] = t_ns[6]
+    broken = dataclasses.replace(fixes, p_world_ant_m=position, t_ns=t_ns)
+    result = fgloc.baseline(drive.with_tables(gnss=broken), "raw:gnss")
+    verdict = result.verdicts["gnss"].verdict
+    assert list(verdict[4:8]) == [Verdict.INVALID, Verdict.USED, Verdict.USED, Verdict.DUPLICATE]
+    assert len(result.trajectory) == len(fixes) - 2
+    with pytest.raises(InputError, match="none of the"):
+        nothing = dataclasses.replace(fixes, p_world_ant_m=np.full_like(position, np.nan))
+        fgloc.baseline(drive.with_tables(gnss=nothing), "raw:gnss")
+
+
+@pytest.mark.parametrize(
+    ("method", "says"),
+    [
+        ("raw-gnss", "no baseline named 'raw-gnss'; the nearest is 'raw:gnss'"),
+        ("raw:imu", "imu does not tell positions; the nearest is 'raw:gnss'"),
+        ("raw:gps", "it has no such source; the nearest is 'raw:gnss'"),
+    ],
+)
+def test_unknown_baselines_are_refused_with_the_nearest(drive, method, says):
+    with pytest.raises(InputError, match=says):
+        fgloc.baseline(drive, method)
+
+
+def test_every_baseline_that_is_listed_runs(drive):
+    for name in baselines.available():
+        assert len(fgloc.baseline(drive, name).trajectory)
+
+
+def test_compare_pairs_in_time_and_survives_a_failure(drive):
+    blind = dataclasses.replace(
+        drive, name="blind", tables={k: v for k, v in drive.tables.items() if k != "imu"}
+    )
+    table = fgloc.compare([drive, blind], ["raw:gnss", "graph-batch"], score_from_s=2.0)
+    raw, graph, raw_blind, graph_blind = table.rows
+    assert raw.difference is None and raw_blind.difference is None
+    scored = [row.metrics["horizontal_rmse_m"].value for row in (raw, graph)]
+    assert graph.difference.value == pytest.approx(scored[1] - scored[0])
+    assert graph.difference.low <= graph.difference.value <= graph.difference.high
+    assert "no imu" in graph_blind.failed and not graph_blind.metrics
+    plain = table.to_dict()
+    assert plain["against"] == "raw:gnss" and len(plain["rows"]) == 4
+    assert plain["rows"][1]["metrics"]["anees"]["unit"] == "1"
+
+
+def test_compare_repeats_scenarios_over_seeds():
+    table = fgloc.compare("city", ["raw:gnss"], seeds=range(2))
+    assert [(row.drive, row.seed) for row in table.rows] == [("city", 0), ("city", 1)]
+
+
+def test_compare_refuses_what_it_cannot_run(drive):
+    with pytest.raises(InputError, match="no method named 'graph-bach'; the nearest is 'graph-b"):
+        fgloc.compare(drive, ["graph-bach"])
+    with pytest.raises(InputError, match="no methods to compare"):
+        fgloc.compare(drive, [])
+    with pytest.raises(InputError, match="seeds go with scenarios"):
+        fgloc.compare(drive, ["raw:gnss"], seeds=[1])
+
+
+def test_removed_fixes_score_the_rest(drive):
+    thin = degrade(dataclasses.replace(drive, truth=None), keep_every=5)
+    scores = fgloc.score(fgloc.baseline(thin, "raw:gnss").trajectory, thin.truth)
+    assert scores["scored_share"].value == pytest.approx(1.0, abs=0.02)
