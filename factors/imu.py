@@ -69,7 +69,7 @@ def integrate(
 ) -> None:  # fmt: skip
     """Add samples to a preintegration, each held over its dt."""
     add = pim.integrateMeasurement
-    for a, w, dt in zip(accel, gyro, dt_s, strict=True):
+    for a, w, dt in zip(accel, gyro, np.asarray(dt_s).tolist(), strict=True):
         add(a, w, dt)
 
 

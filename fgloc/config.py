@@ -72,10 +72,11 @@ class SolverConfig(Section):
     """Of iSAM2. Cholesky is a third faster, but GTSAM gives up where pivots differ by more than
     2^12, as a good gyro beside a GPS of metres makes them; the window is then solved anew by QR."""
     relinearize_threshold: float | None = Field(default=None, gt=0)
-    """iSAM2 relinearises a variable that has moved by more (rad, m, m/s). Default: 0.1, or the median
-    sigma of the fixes if that is less, since robust weights are renewed only with it."""
+    """iSAM2 relinearises a variable that has moved by more (rad, m, m/s). Default: 0.01, or
+    the median sigma of the fixes if that is less: a coarser one leaves robust weights stale and
+    makes the filter sure of a tilt that it linearised around another heading."""
     max_iterations: int = Field(default=50, gt=0)
-    cost_tolerance: float = Field(default=1e-4, gt=0)
+    cost_tolerance: float = Field(default=3e-4, gt=0)
     """The batch has converged where an iteration changes the cost, half a chi-square, by less."""
 
 
@@ -145,8 +146,8 @@ def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
 def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as err:
-        raise ConfigError(f"{path}: no such file") from err
+    except OSError as err:
+        raise ConfigError(f"{path}: {err.strerror}; give the path of a TOML file") from err
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
         raise ConfigError(f"{path}: not valid TOML: {err}") from err
 

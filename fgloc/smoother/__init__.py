@@ -12,7 +12,7 @@ from fgloc.smoother.batch import run_batch
 from fgloc.smoother.model import Model
 from fgloc.smoother.online import OBSERVED_YAW_RAD, Online
 from fgloc.sync import plan
-from fgloc.verdicts import Verdicts
+from fgloc.verdicts import counts
 
 METHODS = {
     "graph-batch": "batch", "graph-incremental": "incremental", "graph-lag": "fixed-lag",
@@ -73,11 +73,6 @@ def _summary(model: Model, factors: int) -> dict[str, Any]:
         "counts": counts(model.plan.verdicts),
         "origin": vars(origin) | {},
     }
-
-
-def counts(verdicts: Verdicts) -> dict[str, dict[str, int]]:
-    """How many rows of each source have each verdict."""
-    return {source: table.counts() for source, table in verdicts.items()}
 
 
 def _provenance(config: SmoothConfig) -> dict[str, Any]:

@@ -51,7 +51,7 @@ def run_batch(model: Model) -> BatchRun:
     intervals = [None, *(model.interval(j) for j in range(1, len(model)))]
     start = guess(model, 0, len(model) - 1, gyro_yaw(model))
     groups = _groups(model, intervals, first_values(model, start, 1))
-    start, _ = choose_yaw(model, start, groups)
+    start = choose_yaw(model, start, groups)
     values = first_values(model, start, len(model))
     with_fix = np.flatnonzero(model.fix_of >= 0)
     gated = np.zeros(len(with_fix), bool)

@@ -13,10 +13,12 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, B, C, L, V, X
 
+from fgloc.chi_square import chi2_quantile
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive, ImuNoise
 from fgloc.errors import DriveError
 from fgloc.factors import gnss, imu, noise
+from fgloc.frames import skew
 from fgloc.measurements import Array
 from fgloc.sync import Plan
 from fgloc.timing import elapsed_s
@@ -64,6 +66,7 @@ class Model:
         self.fixes = drive.gnss
         self.p_veh_imu_m = np.array(drive.rig.T_veh_imu[:3, 3])
         self.lever = drive.rig.p_veh_ant_m - self.p_veh_imu_m
+        self.antenna_by_pose = np.hstack([-skew(self.lever), np.eye(3)])
         self.epoch_of = self.epochs.keyframes
         self.t_ns = self.epochs.t_ns[self.epoch_of]
         self.t_s = elapsed_s(self.t_ns, int(self.t_ns[0]))
@@ -72,6 +75,7 @@ class Model:
         self.gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
         self.has_gnss_bias = config.gnss.bias_sigma_m > 0
+        self._fix_noises: dict[bytes, gtsam.noiseModel.Base] = {}
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -84,12 +88,8 @@ class Model:
     @cached_property
     def gate_nis(self) -> float:
         """NIS of a three-dimensional fix above which it is gated."""
-        from scipy.special import chdtri  # 0.3 s to import
-
         c = self.config.gnss
-        if c.gate_probability == 1:
-            return np.inf
-        return float(chdtri(3, 1 - c.gate_probability)) * c.gate_slack**2
+        return chi2_quantile(c.gate_probability, 3) * c.gate_slack**2
 
     @cached_property
     def relinearize_threshold(self) -> float:
@@ -98,7 +98,7 @@ class Model:
         if given is not None:
             return given
         variance = self.cov_world_m2[self.fix_of[self.fix_of >= 0]].trace(axis1=1, axis2=2) / 3
-        return min(0.1, float(np.sqrt(np.median(variance))))
+        return min(0.01, float(np.sqrt(np.median(variance))))
 
     @cached_property
     def _params(self) -> gtsam.PreintegrationParams:
@@ -165,13 +165,22 @@ class Model:
 
     def fix_factors(self, j: int) -> Factors:
         """The GNSS fix at keyframe j."""
-        row, c = self.fix_of[j], self.config.gnss
-        z, model = self.fixes.p_world_ant_m[row], noise.gaussian(self.cov_world_m2[row])
+        row = self.fix_of[j]
+        z, model = self.fixes.p_world_ant_m[row], self._fix_noise(row)
         if not self.has_gnss_bias:
-            model = noise.robust(model, c.loss, c.loss_width)
             return [gnss.position_factor(X(j), z, self.lever, model)]
-        diagonal = gtsam.noiseModel.Diagonal.Variances(np.diagonal(self.cov_world_m2[row]))
-        return gnss.biased_position_factors(X(j), A(j), L(0), C(j), z, diagonal)
+        return gnss.biased_position_factors(X(j), A(j), L(0), C(j), z, model)
+
+    def _fix_noise(self, row: int) -> gtsam.noiseModel.Base:
+        """The noise model of a fix, built once for all rows of the same covariance."""
+        cov, c = self.cov_world_m2[row], self.config.gnss
+        known = self._fix_noises.get(key := cov.tobytes())
+        if known is None and self.has_gnss_bias:
+            known = gtsam.noiseModel.Diagonal.Variances(np.diagonal(cov))
+        elif known is None:
+            known = noise.robust(noise.gaussian(cov), c.loss, c.loss_width)
+        self._fix_noises = {key: known}
+        return known
 
     def gnss_bias_factors(self, j: int, before: int | None) -> Factors:
         """The bias chain's link to the fix at keyframe j from the fix at an earlier keyframe."""

@@ -15,8 +15,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, B, C, L, V, X
 
-from fgloc.factors import imu, noise
-from fgloc.frames import skew
+from fgloc.factors import imu
 from fgloc.measurements import Array
 from fgloc.result import Event
 from fgloc.smoother.dense import fill
@@ -24,15 +23,18 @@ from fgloc.smoother.guess import guess, gyro_yaw
 from fgloc.smoother.model import YAW_SIGMA_RAD, Factors, Interval, Model, State, read_state
 from fgloc.smoother.solve import choose_yaw, explain_failure, first_values, optimize, yaw_sigma_rad
 from fgloc.smoother.states import StateLog
-from fgloc.smoother.tree import FixedLagTree, WholeTree, as_graph, relinearized
+from fgloc.smoother.tree import FixedLagTree, Stamps, WholeTree, as_graph, relinearized
 from fgloc.verdicts import Verdict
 
 UNKNOWN_YAW_SIGMA_RAD = float(np.pi / np.sqrt(3))
 """Of a heading uniform over the circle: the prior until the vehicle's course can be seen."""
 OBSERVED_YAW_RAD = 0.1
 """The yaw counts as observable once its sigma is below this."""
+SETTLED_YAW_RAD = 0.05
+"""A fixed lag shortens to what was asked once the yaw's sigma is below this: marginalising around
+a heading that is still moving makes a filter sure of what it does not know."""
 ALIGN_WINDOW_S = 60.0
-"""A fixed lag aligns its yaw over at most this much of the past."""
+"""Until then it holds this much of the past."""
 ALIGN_SIGMAS, ALIGN_DISTANCE_M, ALIGN_SPAN_S = 8.0, 2.0, 20.0
 """Two fixes show a course when so many sigmas, at least so far and at most so long apart."""
 EXTRA_UPDATES = 3
@@ -54,6 +56,7 @@ class Online:
         self.yaw_observable_ns: int | None = None
         self._turn_rad = gyro_yaw(model)
         self._aligned = False
+        self._settled = False
         self._tree = self._new_tree(model.config.solver.factorization)
         self._intervals: dict[int, Interval] = {}
         self._states: dict[int, State] = {}
@@ -140,17 +143,18 @@ class Online:
         """Whether a fix is accepted, and whether it lies far from the prediction."""
         model, c, row = self.model, self.model.config.gnss, self.model.fix_of[key]
         R = pose.rotation().matrix()
-        H = np.hstack([-R @ skew(model.lever), R])
+        H = R @ model.antenna_by_pose
         error = pose.transformFrom(model.lever) - model.fixes.p_world_ant_m[row]
         R_fix = model.cov_world_m2[row]
-        nis = float(noise.nis(error, H @ cov @ H.T + R_fix + c.bias_sigma_m**2 * np.eye(3)))
+        S = H @ cov @ H.T + R_fix + c.bias_sigma_m**2 * np.eye(3)
+        nis = float(error @ np.linalg.solve(S, error))
         fits = nis <= model.gate_nis
         waited = model.t_s[key] - self._accepted_s > c.gate_reset_s
         accepted = fits or waited or not self._aligned
         verdicts = model.plan.verdicts["gnss"]
         if self._aligned:
             verdicts.nis[row], verdicts.dof[row], verdicts.threshold[row] = nis, 3, model.gate_nis
-        norm = float(np.sqrt(noise.nis(error, R_fix)))
+        far = float(error @ np.linalg.solve(R_fix, error)) > c.loss_width**2
         if not accepted:
             verdicts.set(row, Verdict.GATED, "does not fit the prediction")
         else:
@@ -158,11 +162,12 @@ class Online:
         if accepted and not fits and self._aligned:
             text = f"no fix accepted for {c.gate_reset_s:g} s: the gate opened"
             self._event(key, "gate reset", text)
-        return accepted, norm > c.loss_width
+        return accepted, far
 
     def _update(self, j: int, factors: Factors, values: gtsam.Values, extra: int) -> None:
         """One update of the tree and the newest state read from it; a failed tree is replaced."""
-        stamps = dict.fromkeys((*values.keys(), *self._alive(j)), float(self.model.t_s[j]))
+        now = float(self.model.t_s[j])
+        stamps: Stamps = dict.fromkeys((*values.keys(), *self._alive(j)), now)
         began = time.perf_counter()
         try:
             self._tree.update(factors, values, stamps)
@@ -177,7 +182,7 @@ class Online:
         """Grow a new tree, by QR, over the window that the failed one held."""
         problem = explain_failure(err, self.model)
         self._event(j, "solver", f"{problem}; the window was solved again")
-        first = self._window_start(j, self.lag_s)
+        first = self._window_start(j, None if self.lag_s is None else self._held_s())
         state = self._states[first]
         prior = (
             self.model.prior_factors(0, state, YAW_SIGMA_RAD)
@@ -208,7 +213,7 @@ class Online:
         pose = gtsam.Pose3(gtsam.Rot3(start.R_world_veh[0]), start.p_world_m[0])
         base = State(pose, start.v_world_mps[0], gtsam.imuBias.ConstantBias())
         groups = self._window(first, j, model.prior_factors(first, base, YAW_SIGMA_RAD))
-        start, _ = choose_yaw(model, start, groups)
+        start = choose_yaw(model, start, groups)
         values = first_values(model, start, j + 1 - first)
         self._regrow(first, j, groups, values, model.config.solver.factorization)
         self._aligned = True
@@ -243,7 +248,7 @@ class Online:
             self._states[k] = read_state(solved, k, int(self.model.bias_of[k]))
         self._read(j)
 
-    def _stamps(self, first: int, j: int) -> dict[int, float]:
+    def _stamps(self, first: int, j: int) -> Stamps:
         """The time in s of every variable of a window: its last use."""
         stamps: dict[int, float] = {}
         for k in range(first, j + 1):
@@ -290,7 +295,7 @@ class Online:
         if self.last is None or self.lag_s is None:
             return
         while self._harvested < j and (
-            self.model.t_s[self._harvested] < self.model.t_s[j] - self.lag_s
+            self.model.t_s[self._harvested] < self.model.t_s[j] - self._held_s()
         ):
             self._keep_last(self._harvested, self._tree)
             self._harvested += 1
@@ -320,14 +325,20 @@ class Online:
         """Fixed lag: drop what no later step can ask for, so that memory does not grow."""
         if self.lag_s is None:
             return
-        keep = self._window_start(j, max(self.lag_s, 0.0 if self._aligned else ALIGN_WINDOW_S)) - 1
+        keep = self._window_start(j, self._held_s()) - 1
         kept = (
             (self._states, self._covs) if self.last else (self._states, self._covs, self._intervals)
         )
         for store in kept:
-            for k in [k for k in store if k < keep]:
-                del store[k]
-        self._accepted = [k for k in self._accepted if k >= keep] or self._accepted[-1:]
+            while store and (oldest := next(iter(store))) < keep:
+                del store[oldest]
+        while len(self._accepted) > 1 and self._accepted[0] < keep:
+            del self._accepted[0]
+
+    def _held_s(self) -> float:
+        """How much of the past a fixed lag holds now, s."""
+        assert self.lag_s is not None
+        return self.lag_s if self._settled else max(self.lag_s, ALIGN_WINDOW_S)
 
     def _window_start(self, j: int, window_s: float | None) -> int:
         if window_s is None:
@@ -338,13 +349,19 @@ class Online:
         threshold = self.model.relinearize_threshold
         if self.lag_s is None:
             return WholeTree(kind, threshold)
-        return FixedLagTree(kind, threshold, self.lag_s)
+        return FixedLagTree(kind, threshold, self._held_s())
 
     def _note_yaw(self, j: int) -> None:
-        if self.yaw_observable_ns is None and self._aligned:
-            R = self._states[j].pose.rotation().matrix()
-            if yaw_sigma_rad(R, self._covs[j][:3, :3]) < OBSERVED_YAW_RAD:
-                self.yaw_observable_ns = int(self.model.t_ns[j])
+        """Watch the yaw become observable, and settle."""
+        if self._settled or not self._aligned:
+            return
+        sigma = yaw_sigma_rad(self._states[j].pose.rotation().matrix(), self._covs[j][:3, :3])
+        if self.yaw_observable_ns is None and sigma < OBSERVED_YAW_RAD:
+            self.yaw_observable_ns = int(self.model.t_ns[j])
+        if sigma < SETTLED_YAW_RAD:
+            self._settled = True
+            if isinstance(self._tree, FixedLagTree):
+                self._tree.shorten(self._held_s())
 
     def _event(self, j: int, kind: str, text: str) -> None:
         self.events.append(Event(int(self.model.t_ns[j]), kind, text))
@@ -368,9 +385,10 @@ def _predict(
     """The state at the end of an interval, and the covariance (6, 6) of its pose."""
     by_state, by_bias = np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
     nav = pim.predict(gtsam.NavState(state.pose, state.velocity), state.bias, by_state, by_bias)
-    J = np.hstack([by_state, by_bias])[:6]
+    J = np.empty((6, 15))
+    J[:, :6], J[:, 9:] = by_state[:6, :6], by_bias[:6]
     # GTSAM's navigation state has its velocity's tangent in the vehicle frame, ours in the world.
-    J[:, 6:9] = J[:, 6:9] @ state.pose.rotation().matrix().T
+    J[:, 6:9] = by_state[:6, 6:] @ state.pose.rotation().matrix().T
     predicted = J @ cov @ J.T + pim.residualCovariance()[:6, :6]
     return State(nav.pose(), nav.velocity(), state.bias), predicted
 

@@ -13,8 +13,11 @@ from fgloc.smoother.model import Factors, Model, State
 from fgloc.smoother.tree import WholeTree, as_graph
 from fgloc.timing import iso_utc
 
-TURNS_RAD = (0.0, np.pi, np.pi / 2, -np.pi / 2)
-"""Headings tried against the course: forward, reverse, and an IMU mounted across."""
+TURNS_RAD = (np.pi, np.pi / 2, -np.pi / 2)
+"""Headings tried where the course itself does not fit: reverse, and an IMU mounted across."""
+FITS = 5.0
+"""The course fits where twice the cost is at most this for each dimension of the fixes, and another
+heading must do better by as much: ties are broken by rounding otherwise."""
 
 _MEANING = {
     "x": ("pose", "position or attitude is not held by any measurement"),
@@ -39,7 +42,7 @@ def optimize(
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(model.config.solver.max_iterations)
     params.setAbsoluteErrorTol(model.config.solver.cost_tolerance)
-    params.setRelativeErrorTol(1e-9)
+    params.setRelativeErrorTol(1e-9)  # the absolute one decides
     try:
         return _run(graph, values, params)
     except RuntimeError:
@@ -97,27 +100,30 @@ def explain_failure(err: Exception, model: Model) -> SolverError:
     )
 
 
-def choose_yaw(
-    model: Model, guess: Guess, factors: list[Factors], length: int = 40
-) -> tuple[Guess, gtsam.Values]:
-    """The guess turned to the heading that the first moving stretch fits best, and its solution.
+def choose_yaw(model: Model, guess: Guess, factors: list[Factors], length: int = 40) -> Guess:
+    """The guess turned to the heading that the first moving stretch fits best.
 
     `factors[k]` are those of keyframe guess.first + k, the first being the prior. Without a course
     the guess is returned as it is.
     """
+    if not guess.yaw_known:
+        return guess
     speed = np.linalg.norm(guess.v_world_mps[:, :2], axis=1)
-    moving = int(np.argmax(speed > 0.5 * speed.max())) if len(speed) else 0
-    n = min(len(factors), moving + length)
+    n = min(len(factors), int(np.argmax(speed > 0.5 * speed.max())) + length)
     graph = as_graph(factor for group in factors[:n] for factor in group)
-    best: tuple[float, Guess, gtsam.Values] | None = None
-    for turn in TURNS_RAD if guess.yaw_known else (0.0,):
+    slack = FITS * 3 * int((model.fix_of[guess.first : guess.first + n] >= 0).sum()) / 2
+
+    def cost(turned: Guess) -> float:
+        return float(graph.error(optimize(graph, first_values(model, turned, n), model)[0]))
+
+    best, least = guess, cost(guess)
+    if least <= slack:
+        return guess
+    for turn in TURNS_RAD:
         turned = guess.turned(turn)
-        solved, _ = optimize(graph, first_values(model, turned, n), model)
-        cost = graph.error(solved)
-        if best is None or cost < best[0]:
-            best = (cost, turned, solved)
-    assert best is not None
-    return best[1], best[2]
+        if (other := cost(turned)) < least - slack:
+            best, least = turned, other
+    return best
 
 
 def first_values(model: Model, guess: Guess, n: int) -> gtsam.Values:

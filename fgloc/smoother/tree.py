@@ -96,6 +96,10 @@ class FixedLagTree(WholeTree):
         """As of the whole tree; what is older than the newest stamp by the lag is marginalised."""
         self._lag.update(as_graph(factors), values, stamps)
 
+    def shorten(self, lag_s: float) -> None:
+        """Change the lag; what is older leaves at the next update."""
+        self._lag.setSmootherLag(lag_s)
+
 
 def relinearized(tree: WholeTree, rounds: int = 30, tolerance: float = 1e-7) -> WholeTree:
     """A whole tree of the same factors, all variables relinearised until none moves further.

@@ -67,7 +67,7 @@ def run(rec, line, lag_s=LAG_S, loss="none", factorization="QR"):
     t = line.t_s[keys].tolist()
     row_of = np.full(len(keys), -1)
     row_of[np.searchsorted(line.t_s[keys], rec.fix_s)] = np.arange(len(rec.fix_s))
-    result = Run([], np.empty((len(keys), 15, 15)), np.empty(len(keys)))
+    result = Run([], np.full((len(keys), 6, 6), np.nan), np.zeros(len(keys)))
     smoother = gtsam.IncrementalFixedLagSmoother(lag_s, isam_params(factorization))
     isam = smoother.getISAM2()
     pim = gtsam.PreintegratedImuMeasurements(bare.preintegration_params(rec))
@@ -103,7 +103,7 @@ def run(rec, line, lag_s=LAG_S, loss="none", factorization="QR"):
             smoother.calculateEstimatePose3(X(j)), smoother.calculateEstimateVector(V(j))
         )
         bias = smoother.calculateEstimateConstantBias(B(b))
-        result.cov[j] = isam.jointMarginalCovariance(newest).fullMatrix()
+        result.cov[j] = isam.jointMarginalCovariance(newest).fullMatrix()[:6, :6]
         result.poses.append(nav.pose())
         result.step_s[j] = time.perf_counter() - began
         if j % 50 == 0:
@@ -116,6 +116,12 @@ def rss_mb():
     return int(Path("/proc/self/statm").read_text().split()[1]) * PAGE_MB
 
 
+def peak_mb():
+    """Most memory that this process ever had; getrusage would count its parent's too."""
+    status = Path("/proc/self/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) / 1024
+
+
 def step_figures(step_s, rss):
     """Totals, and per-step times and memory in the first and the last tenth of a run."""
     n = len(step_s)
@@ -125,8 +131,7 @@ def step_figures(step_s, rss):
           for where, part in (("first", first), ("last", last), ("all", slice(None)))}  # fmt: skip
     memory = {f"rss_{where}_mb": max(mb for j, mb in rss if part.start <= j < part.stop)
               for where, part in (("first", first), ("last", last))}  # fmt: skip
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {"total_s": float(step_s.sum()), "steps": n, **ms, **memory, "rss_peak_mb": peak}
+    return {"total_s": float(step_s.sum()), "steps": n, **ms, **memory, "rss_peak_mb": peak_mb()}
 
 
 def main():
