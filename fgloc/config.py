@@ -76,7 +76,7 @@ class SolverConfig(Section):
     the median sigma of the fixes if that is less: a coarser one leaves robust weights stale and
     makes the filter sure of a tilt that it linearised around another heading."""
     max_iterations: int = Field(default=50, gt=0)
-    cost_tolerance: float = Field(default=3e-4, gt=0)
+    cost_tolerance: float = Field(default=1e-3, gt=0)
     """The batch has converged where an iteration changes the cost, half a chi-square, by less."""
 
 
