@@ -108,29 +108,43 @@ def load_config(
 
     Dotted keys reach into sections: `gnss.loss=none`. Overrides that are None are passed over.
     Raises ConfigError that names every unknown key (with the nearest valid one) and every value
-    that does not fit.
+    that does not fit, each with the place it came from.
     """
     values: dict[str, Any] = base.model_dump() if base else {}
     where = "configuration"
     if path is not None:
         where = str(path)
         values = merge(values, _read(path))
+    places: dict[str, str] = {}
     for setting in settings:
         key, equals, text = setting.partition("=")
         if not equals:
             raise ConfigError(f"--set {setting}: expected key=value, e.g. gnss.loss=none")
-        values = merge(values, _nested(key.strip().split("."), _parse_value(text.strip())))
-    values = merge(values, {key: value for key, value in overrides.items() if value is not None})
-    return validate(SmoothConfig, values, where)
+        keys = key.strip().split(".")
+        values = merge(values, _nested(keys, _parse_value(text.strip())))
+        places[".".join(keys)] = "--set"
+    given = {key: value for key, value in overrides.items() if value is not None}
+    values = merge(values, given)
+    places |= dict.fromkeys(given, "configuration")
+    return validate(SmoothConfig, values, where, places)
 
 
-def validate(model: type[M], values: Mapping[str, Any], where: str) -> M:
-    """`model` made from plain values; ConfigError with one line per fault otherwise."""
+def validate(
+    model: type[M], values: Mapping[str, Any], where: str, places: Mapping[str, str] | None = None
+) -> M:
+    """`model` made from plain values, or ConfigError with every fault and the place it is in.
+
+    That is `where`, but for the dotted keys for which `places` names another.
+    """
     try:
         return model.model_validate(values)
     except ValidationError as err:
-        faults = [_describe(model, fault) for fault in err.errors()]
-        raise ConfigError(f"{where}: " + "; ".join(faults)) from err
+        faults: dict[str, list[str]] = {}
+        for fault in err.errors():
+            place = _place(".".join(map(str, fault["loc"])), places or {}, where)
+            faults.setdefault(place, []).append(_describe(model, fault))
+        lines = [f"{place}: " + "; ".join(texts) for place, texts in faults.items()]
+        raise ConfigError("; ".join(lines)) from err
 
 
 def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
@@ -162,6 +176,14 @@ def _parse_value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
+
+
+def _place(dotted: str, places: Mapping[str, str], where: str) -> str:
+    """Where a faulty key was given: itself, the section that holds it or a part of it."""
+    for key, place in places.items():
+        if f"{dotted}.".startswith(f"{key}.") or f"{key}.".startswith(f"{dotted}."):
+            return place
+    return where
 
 
 def _describe(model: type[BaseModel], fault: Any) -> str:

@@ -36,6 +36,8 @@ class ImuNoise:
 class Rig:
     """Where the sensors sit on the vehicle, and how noisy they are.
 
+    Raises DriveError where a shape does not fit or the IMU's axes are not a rotation.
+
     p_veh_ant_m  (3,) GNSS antenna in the vehicle frame, m
     T_veh_imu    (4, 4) IMU axes and place in the vehicle frame, m
     imu_noise    or None where the drive has no IMU
@@ -46,8 +48,11 @@ class Rig:
     imu_noise: ImuNoise | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "p_veh_ant_m", freeze(self.p_veh_ant_m))
-        object.__setattr__(self, "T_veh_imu", freeze(self.T_veh_imu))
+        for name, shape in (("p_veh_ant_m", (3,)), ("T_veh_imu", (4, 4))):
+            array = freeze(getattr(self, name))
+            if array.shape != shape or not np.isfinite(array).all():
+                raise DriveError(f"rig.{name}: expected finite numbers of shape {shape}")
+            object.__setattr__(self, name, array)
         R = self.T_veh_imu[:3, :3]
         if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
             raise DriveError("rig.T_veh_imu: the upper left 3x3 block is not a rotation matrix")
@@ -89,17 +94,23 @@ class Drive:
 
     @property
     def start_ns(self) -> int:
-        """The first instant of any table."""
-        return min(int(t.t_ns[0]) for t in self.tables.values() if len(t))
+        """The first instant of any table; raises DriveError where no table has rows."""
+        return min(int(t.t_ns[0]) for t in self._filled())
 
     @property
     def end_ns(self) -> int:
-        """The last instant of any table."""
-        return max(int(t.t_ns[-1]) for t in self.tables.values() if len(t))
+        """The last instant of any table; raises DriveError where no table has rows."""
+        return max(int(t.t_ns[-1]) for t in self._filled())
 
     def with_tables(self, **tables: Table) -> Self:
         """The same drive with some tables replaced or added."""
         return replace(self, tables={**self.tables, **tables})
+
+    def _filled(self) -> list[Table]:
+        tables = [table for table in self.tables.values() if len(table)]
+        if not tables:
+            raise DriveError(f"drive {self.name!r} has no rows in any table")
+        return tables
 
     def _table(self, name: str, kind: type[T]) -> T:
         table = self.tables.get(name)

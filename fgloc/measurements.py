@@ -17,9 +17,12 @@ Array = NDArray[np.float64]
 
 
 def freeze(array: Any, dtype: type = np.float64) -> NDArray[Any]:
-    """A read-only array; a writable input is copied, so that nobody else can change it."""
+    """A read-only array; what somebody else could still change is copied."""
     result: NDArray[Any] = np.asarray(array, dtype)
-    if result.flags.writeable:
+    owner = result
+    while not owner.flags.writeable and isinstance(owner.base, np.ndarray):
+        owner = owner.base
+    if owner.flags.writeable:
         result = result.copy()
         result.flags.writeable = False
     return result
@@ -49,10 +52,10 @@ class Table:
                     f"{self.KIND}.{field.name} has shape {column.shape}, expected {expected}"
                 )
             object.__setattr__(self, field.name, column)
-        back = np.flatnonzero(np.diff(self.t_ns) < 0)
+        back = np.flatnonzero(self.t_ns[1:] < self.t_ns[:-1])  # a difference could overflow
         if len(back):
             row = int(back[0]) + 1
-            by_ns = int(self.t_ns[row - 1] - self.t_ns[row])
+            by_ns = int(self.t_ns[row - 1]) - int(self.t_ns[row])
             raise DriveError(
                 f"{self.KIND} row {row}: t_ns goes back by {by_ns} ns; rows must be in time order"
             )

@@ -4,6 +4,7 @@ An instant is an int64 count of nanoseconds of POSIX time (UTC without leap seco
 is a float in seconds. GPS and TAI stamps are turned into POSIX here and nowhere else.
 """
 
+import re
 from datetime import UTC, datetime
 
 import numpy as np
@@ -26,6 +27,7 @@ _TAI_MINUS_UTC_S = (
     (867_715_200, 31), (915_148_800, 32), (1_136_073_600, 33), (1_230_768_000, 34),
     (1_341_100_800, 35), (1_435_708_800, 36), (1_483_228_800, 37),
 )  # fmt: skip
+_DECIMAL = re.compile(r"([+-]?)(?=\.?[0-9])([0-9]*)\.?([0-9]{0,9})")
 
 
 def gps_minus_utc_s(unix_s: float) -> int:
@@ -44,11 +46,17 @@ def gps_week_to_ns(week: int, seconds_of_week: ArrayLike) -> Instants:
     """
     sow_s = np.asarray(seconds_of_week, float)
     start_s = GPS_EPOCH_UNIX_S + week * WEEK_S
-    first = float(sow_s.flat[0]) if sow_s.size else 0.0
-    leap_s = gps_minus_utc_s(start_s + first - 18)
+    leap_s = _leap_s(start_s + (float(sow_s.flat[0]) if sow_s.size else 0.0))
     whole = np.floor(sow_s)
     fraction_ns = np.rint((sow_s - whole) * 1e9).astype(np.int64)
     return (np.int64(start_s - leap_s) + whole.astype(np.int64)) * NS_PER_S + fraction_ns
+
+
+def _leap_s(gps_s: float) -> int:
+    """GPS minus UTC at a GPS stamp, counted in the same way as POSIX seconds."""
+    # UTC lags by the leap seconds themselves: the older offset holds until UTC has arrived, too.
+    leap_s = gps_minus_utc_s(gps_s)
+    return leap_s if leap_s == 0 else gps_minus_utc_s(gps_s - leap_s)
 
 
 def seconds_to_ns(seconds: float) -> int:
@@ -72,12 +80,12 @@ def decimal_to_ns(text: str) -> int:
 
     Raises ValueError on anything else.
     """
-    whole, _, fraction = text.strip().partition(".")
-    if len(fraction) > 9 or (fraction and not fraction.isdigit()):
+    match = _DECIMAL.fullmatch(text.strip())
+    if match is None:
         raise ValueError(f"{text!r} is not a decimal number of seconds down to nanoseconds")
-    negative = whole.startswith("-")
-    ns = abs(int(whole)) * NS_PER_S + int(fraction.ljust(9, "0") or 0)
-    return -ns if negative else ns
+    sign, whole, fraction = match.groups()
+    ns = int(whole or 0) * NS_PER_S + int(fraction.ljust(9, "0"))
+    return -ns if sign == "-" else ns
 
 
 def iso_utc(t_ns: int) -> str:

@@ -35,14 +35,17 @@ class Trajectory:
     p_veh_point_m: Array = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "t_ns", freeze(self.t_ns, np.int64))
+        if self.t_ns.ndim != 1:
+            raise InputError(f"trajectory t_ns has shape {self.t_ns.shape}, expected (N,)")
         n = len(self.t_ns)
         shapes: dict[str, tuple[int, ...]] = {
             "p_world_m": (n, 3), "R_world_veh": (n, 3, 3), "v_world_mps": (n, 3),
             "cov": (n, 6, 6), "p_veh_point_m": (3,),
         }  # fmt: skip
-        object.__setattr__(self, "t_ns", freeze(self.t_ns, np.int64))
-        if np.any(np.diff(self.t_ns) <= 0):
-            row = int(np.flatnonzero(np.diff(self.t_ns) <= 0)[0]) + 1
+        stuck = np.flatnonzero(self.t_ns[1:] <= self.t_ns[:-1])  # a difference could overflow
+        if len(stuck):
+            row = int(stuck[0]) + 1
             raise InputError(f"trajectory row {row}: t_ns {self.t_ns[row]} does not increase")
         for name, shape in shapes.items():
             value = getattr(self, name)
@@ -102,6 +105,8 @@ class Trajectory:
     def covers(self, t_ns: ArrayLike, max_gap_s: float = np.inf) -> np.ndarray[Any, Any]:
         """(M,) bool: whether an instant lies on or between states no further apart than the gap."""
         t = np.asarray(t_ns, np.int64)
+        if len(self) == 0:
+            return np.zeros(t.shape, bool)
         left = np.clip(np.searchsorted(self.t_ns, t, side="right") - 1, 0, len(self) - 1)
         right = np.clip(np.searchsorted(self.t_ns, t, side="left"), 0, len(self) - 1)
         inside = (t >= self.t_ns[0]) & (t <= self.t_ns[-1])
