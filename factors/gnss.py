@@ -46,7 +46,7 @@ def position_factor(
 
 def biased_position_factors(
     pose_key: int, antenna_key: int, lever_key: int, bias_key: int, z_world_m: Array,
-    model: gtsam.noiseModel.Base,
+    model: gtsam.noiseModel.Diagonal,
 ) -> list[gtsam.NonlinearFactor]:  # fmt: skip
     """The native factors of `residual` with a bias variable, by way of the antenna's position.
 

@@ -41,7 +41,7 @@ class ImuDeltas(NamedTuple):
 
 
 class ImuResidual(NamedTuple):
-    """error (N, 9); Jacobians by pose_i (6), velocity_i (3), pose_j (6), velocity_j (3), bias (6)."""
+    """error (N, 9) and its Jacobians: poses by 6, velocities by 3, the bias by 6 columns."""
 
     error: Array
     by_pose_i: Array
@@ -110,7 +110,7 @@ def factor(
 
 
 def bias_walk_sigmas(noise: ImuNoise, dt_s: float) -> Array:
-    """Standard deviations (6,) of the biases' change over dt seconds: m/s^2 thrice, rad/s thrice."""
+    """Standard deviations (6,) of the biases' change over dt seconds: 3 in m/s^2, 3 in rad/s."""
     walk = [noise.accel_bias_walk_mps3_per_sqrt_hz] * 3 + [
         noise.gyro_bias_walk_radps2_per_sqrt_hz
     ] * 3
@@ -148,8 +148,8 @@ def transition(deltas: ImuDeltas, R: Array, bias: Array) -> tuple[Array, Array]:
     F[:, 3:6, 6:] = R_j.swapaxes(-1, -2) * deltas.dt_s[:, None, None]
     F[:, 6:, :3] = -R @ skew(d[:, 6:])
     F[:, 6:, 6:] = np.eye(3)
-    G = np.concatenate([right_jacobian_so3(d[:, :3]) @ deltas.by_bias[:, :3],
-                        back @ deltas.by_bias[:, 3:6], R @ deltas.by_bias[:, 6:]], axis=1)  # fmt: skip
+    turn = right_jacobian_so3(d[:, :3]) @ deltas.by_bias[:, :3]
+    G = np.concatenate([turn, back @ deltas.by_bias[:, 3:6], R @ deltas.by_bias[:, 6:]], axis=1)
     return F, G
 
 

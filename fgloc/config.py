@@ -71,10 +71,12 @@ class SolverConfig(Section):
     factorization: Literal["cholesky", "qr"] = "qr"
     """Of iSAM2. Cholesky is a third faster, but GTSAM gives up where pivots differ by more than
     2^12, as a good gyro beside a GPS of metres makes them; the window is then solved anew by QR."""
-    relinearize_threshold: float | None = Field(default=None, gt=0)
-    """iSAM2 relinearises a variable that has moved by more (rad, m, m/s). Default: 0.01, or
-    the median sigma of the fixes if that is less: a coarser one leaves robust weights stale and
-    makes the filter sure of a tilt that it linearised around another heading."""
+    relinearize_rad: float = Field(default=0.01, gt=0)
+    """iSAM2 relinearises a pose that has turned by more: a coarser value makes a causal run sure of
+    a tilt that it linearised around another heading."""
+    relinearize_m: float | None = Field(default=None, gt=0)
+    """... or moved by more. Default: 0.1, or the median sigma of the fixes if that is less, since
+    robust weights are renewed only with it."""
     max_iterations: int = Field(default=50, gt=0)
     cost_tolerance: float = Field(default=1e-3, gt=0)
     """The batch has converged where an iteration changes the cost, half a chi-square, by less."""

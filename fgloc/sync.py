@@ -90,7 +90,8 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
     in_gap = np.zeros(len(t_ns), bool)
     for start, end in gaps:
         in_gap |= (t_ns > start) & (t_ns <= end)
-    epochs = Epochs(t_ns, np.isin(t_ns, keyframes), in_gap, fix_row, *_steps(imu, drive.rig.T_veh_imu[:3, :3], t_ns))
+    steps = _steps(imu, drive.rig.T_veh_imu[:3, :3], t_ns)
+    epochs = Epochs(t_ns, np.isin(t_ns, keyframes), in_gap, fix_row, *steps)
     return Plan(epochs, verdicts, _gap_events(gaps))
 
 

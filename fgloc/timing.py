@@ -46,17 +46,12 @@ def gps_week_to_ns(week: int, seconds_of_week: ArrayLike) -> Instants:
     """
     sow_s = np.asarray(seconds_of_week, float)
     start_s = GPS_EPOCH_UNIX_S + week * WEEK_S
-    leap_s = _leap_s(start_s + (float(sow_s.flat[0]) if sow_s.size else 0.0))
+    first_s = start_s + (float(sow_s.flat[0]) if sow_s.size else 0.0)
+    # The stamp as it stands is ahead of UTC: what holds is the offset of the UTC second it means.
+    leap_s = gps_minus_utc_s(first_s - gps_minus_utc_s(first_s))
     whole = np.floor(sow_s)
     fraction_ns = np.rint((sow_s - whole) * 1e9).astype(np.int64)
     return (np.int64(start_s - leap_s) + whole.astype(np.int64)) * NS_PER_S + fraction_ns
-
-
-def _leap_s(gps_s: float) -> int:
-    """GPS minus UTC at a GPS stamp, counted in the same way as POSIX seconds."""
-    # UTC lags by the leap seconds themselves: the older offset holds until UTC has arrived, too.
-    leap_s = gps_minus_utc_s(gps_s)
-    return leap_s if leap_s == 0 else gps_minus_utc_s(gps_s - leap_s)
 
 
 def seconds_to_ns(seconds: float) -> int:

@@ -45,7 +45,7 @@ def fill_between(
     log: StateLog, epochs: NDArray[np.int64], left: NDArray[np.int64], right: NDArray[np.int64],
     part: imu.ImuDeltas, whole: imu.ImuDeltas, bias: Array, gravity_mps2: float,
 ) -> None:  # fmt: skip
-    """Write M inner epochs: `part` leads from the left keyframe to each, `whole` to the right one."""
+    """Write M inner epochs: `part` leads from the left keyframe to each, `whole` to the right."""
     R_i, p_i, v_i = log.R[left], log.p[left], log.v[left]
     R_m, p_m, v_m = imu.predict(part, R_i, p_i, v_i, bias, gravity_mps2)
     R_j, p_j, v_j = imu.predict(whole, R_i, p_i, v_i, bias, gravity_mps2)

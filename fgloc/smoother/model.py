@@ -2,12 +2,14 @@
 
 Batch, incremental and fixed lag all build their graphs here. Keyframe j has a pose X(j) and a
 velocity V(j), of the IMU's place along the vehicle's axes: GTSAM's own way with a lever arm to the
-IMU leaves out the tangential acceleration, which is 0.1 m/s^2 where a bend begins; biases B(m) are shared by the keyframes of `bias_interval_s`; with a GNSS bias
-each fix adds an antenna point A(j) and a bias C(j), and L(0) is the lever arm.
+IMU leaves out the tangential acceleration, which is 0.1 m/s^2 where a bend begins. Biases B(m) are
+shared by the keyframes of `bias_interval_s`; with a GNSS bias each fix adds an antenna point A(j)
+and a bias C(j), and L(0) is the lever arm.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -20,6 +22,7 @@ from fgloc.errors import DriveError
 from fgloc.factors import gnss, imu, noise
 from fgloc.frames import skew
 from fgloc.measurements import Array
+from fgloc.smoother.tree import Thresholds
 from fgloc.sync import Plan
 from fgloc.timing import elapsed_s
 
@@ -75,7 +78,7 @@ class Model:
         self.gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
         self.has_gnss_bias = config.gnss.bias_sigma_m > 0
-        self._fix_noises: dict[bytes, gtsam.noiseModel.Base] = {}
+        self._fix_noises: dict[bytes, Any] = {}
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -92,13 +95,12 @@ class Model:
         return chi2_quantile(c.gate_probability, 3) * c.gate_slack**2
 
     @cached_property
-    def relinearize_threshold(self) -> float:
-        """By how much a variable may move before iSAM2 relinearises it; see `SolverConfig`."""
-        given = self.config.solver.relinearize_threshold
-        if given is not None:
-            return given
+    def thresholds(self) -> Thresholds:
+        """By how much a pose may turn and move before iSAM2 relinearises it; see `SolverConfig`."""
+        c = self.config.solver
         variance = self.cov_world_m2[self.fix_of[self.fix_of >= 0]].trace(axis1=1, axis2=2) / 3
-        return min(0.01, float(np.sqrt(np.median(variance))))
+        fix_m = float(np.sqrt(np.median(variance)))
+        return Thresholds(c.relinearize_rad, c.relinearize_m or min(0.1, fix_m))
 
     @cached_property
     def _params(self) -> gtsam.PreintegrationParams:
@@ -171,7 +173,7 @@ class Model:
             return [gnss.position_factor(X(j), z, self.lever, model)]
         return gnss.biased_position_factors(X(j), A(j), L(0), C(j), z, model)
 
-    def _fix_noise(self, row: int) -> gtsam.noiseModel.Base:
+    def _fix_noise(self, row: int) -> Any:
         """The noise model of a fix, built once for all rows of the same covariance."""
         cov, c = self.cov_world_m2[row], self.config.gnss
         known = self._fix_noises.get(key := cov.tobytes())

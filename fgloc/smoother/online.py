@@ -9,13 +9,14 @@ more from the right heading. A solver that fails is replaced by one grown anew o
 """
 
 import time
+from bisect import insort
 from collections.abc import Sequence
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import A, B, C, L, V, X
 
-from fgloc.factors import imu
+from fgloc.factors import imu, noise
 from fgloc.measurements import Array
 from fgloc.result import Event
 from fgloc.smoother.dense import fill
@@ -82,7 +83,7 @@ class Online:
         model, values = self.model, gtsam.Values()
         if j == 0:
             state, predicted = self._initial_state(), np.eye(6)
-            factors = model.prior_factors(0, state, UNKNOWN_YAW_SIGMA_RAD)
+            factors = self._first_prior()
             model.insert_shared(values)
         else:
             interval = self._intervals[j] = model.interval(j)
@@ -92,9 +93,10 @@ class Online:
         self._states[j] = state
         new_bias = j == 0 or bool(model.bias_of[j] != model.bias_of[j - 1])
         model.insert(values, j, state, new_bias=new_bias)
-        more, extra = self._take_in(j, fixes, values, state.pose, predicted)
+        more, far = self._take_in(j, fixes, values, state.pose, predicted)
         self._harvest(j)
-        self._update(j, [*factors, *more], values, extra)
+        self._update(j, [*factors, *more], values, EXTRA_UPDATES if far else 0)
+        self._weigh(far)
         if not self._aligned and fixes:
             self._try_to_align(j)
         self._note_yaw(j)
@@ -108,10 +110,10 @@ class Online:
 
     def _take_in(
         self, j: int, fixes: list[int], values: gtsam.Values, pose: gtsam.Pose3, predicted: Array
-    ) -> tuple[Factors, int]:
-        """Factors of the fixes that are in time and pass the gate; more updates if one lies far."""
+    ) -> tuple[Factors, list[int]]:
+        """Factors of the fixes that are in time and pass the gate, and those that lie far."""
         factors: Factors = []
-        extra = 0
+        far_keys = []
         for key in fixes:
             if self._is_late(key, j):
                 continue
@@ -119,14 +121,29 @@ class Online:
             cov = predicted if key == j else self._tree.covariance([X(key)])
             accepted, far = self._gate(key, there, cov)
             if accepted:
+                far_keys += [key] if far else []
                 before = self._accepted[-1] if self._accepted else None
                 self.model.insert_fix(values, key, there)
                 factors += self.model.gnss_bias_factors(key, before)
                 factors += self.model.fix_factors(key)
-                self._accepted.append(key)
+                insort(self._accepted, key)
                 self._accepted_s = float(self.model.t_s[j])
-                extra = EXTRA_UPDATES if far else extra
-        return factors, extra
+        return factors, far_keys
+
+    def _weigh(self, keys: list[int]) -> None:
+        """Note which of the fixes that lay far the loss still weighs down, now that they are in."""
+        model, c = self.model, self.model.config.gnss
+        if model.has_gnss_bias:
+            return
+        for key in keys:
+            row = model.fix_of[key]
+            error = self._tree.pose(X(key)).transformFrom(model.lever)
+            error = error - model.fixes.p_world_ant_m[row]
+            norm = np.sqrt(error @ np.linalg.solve(model.cov_world_m2[row], error))
+            weight = float(noise.weight(norm, c.loss, c.loss_width))
+            if weight < 1:
+                reason = f"{c.loss} weight {weight:.3g}"
+                model.plan.verdicts["gnss"].set(row, Verdict.DOWN_WEIGHTED, reason)
 
     def _is_late(self, key: int, j: int) -> bool:
         """Give a fix its verdict where its state, or the bias chain, has passed it by."""
@@ -183,12 +200,9 @@ class Online:
         problem = explain_failure(err, self.model)
         self._event(j, "solver", f"{problem}; the window was solved again")
         first = self._window_start(j, None if self.lag_s is None else self._held_s())
-        state = self._states[first]
-        prior = (
-            self.model.prior_factors(0, state, YAW_SIGMA_RAD)
-            if first == 0
-            else self.model.carried_prior_factors(first, state, self._covs[first] * INFLATION)
-        )
+        prior = self._first_prior() if first == 0 else self.model.carried_prior_factors(
+            first, self._states[first], self._covs[first] * INFLATION
+        )  # fmt: skip
         values = gtsam.Values()
         self.model.insert_shared(values)
         for k in range(first, j + 1):
@@ -200,6 +214,12 @@ class Online:
             self._regrow(first, j, self._window(first, j, prior), values, "qr")
         except RuntimeError as again:
             raise problem from again
+
+    def _first_prior(self) -> Factors:
+        """What the whole tree began with: before the alignment the yaw is not just any number."""
+        if self._aligned:
+            return self.model.prior_factors(0, self._states[0], YAW_SIGMA_RAD)
+        return self.model.prior_factors(0, self._initial_state(), UNKNOWN_YAW_SIGMA_RAD)
 
     def _try_to_align(self, j: int) -> None:
         """Once the fixes show a course, start the yaw from it and solve the past again."""
@@ -250,7 +270,7 @@ class Online:
 
     def _stamps(self, first: int, j: int) -> Stamps:
         """The time in s of every variable of a window: its last use."""
-        stamps: dict[int, float] = {}
+        stamps: Stamps = {}
         for k in range(first, j + 1):
             t = float(self.model.t_s[k])
             stamps |= {X(k): t, V(k): t, B(int(self.model.bias_of[k])): t}
@@ -346,10 +366,10 @@ class Online:
         return int(np.searchsorted(self.model.t_s, self.model.t_s[j] - window_s))
 
     def _new_tree(self, kind: str) -> WholeTree:
-        threshold = self.model.relinearize_threshold
+        thresholds = self.model.thresholds
         if self.lag_s is None:
-            return WholeTree(kind, threshold)
-        return FixedLagTree(kind, threshold, self._held_s())
+            return WholeTree(kind, thresholds)
+        return FixedLagTree(kind, thresholds, self._held_s())
 
     def _note_yaw(self, j: int) -> None:
         """Watch the yaw become observable, and settle."""

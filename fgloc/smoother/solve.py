@@ -76,7 +76,7 @@ def covariances(
             else marginals.jointMarginalCovariance(keys).fullMatrix()
         )
     except RuntimeError:
-        tree = WholeTree("qr", 0.0)
+        tree = WholeTree("qr", None)
     try:
         tree.isam.update(graph, values)
     except RuntimeError as err:

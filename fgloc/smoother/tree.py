@@ -1,30 +1,49 @@
 """iSAM2 behind one small face, whole or over a fixed lag."""
 
-from collections.abc import Iterable, Mapping
-from typing import SupportsFloat, SupportsIndex, SupportsInt
+from collections.abc import Iterable
+from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
 
 from fgloc.measurements import Array
 
-Stamps = Mapping[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex]
+Stamps = dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex]
 """Times in s by the key of a variable; GTSAM's own type."""
 
 WILDFIRE = 0.01
 """Changes of the linear solution below this are not passed on down the tree."""
 
 
-def parameters(factorization: str, threshold: float) -> gtsam.ISAM2Params:
-    """iSAM2's settings; a threshold of 0 relinearises everything at every update."""
+class Thresholds(NamedTuple):
+    """How far a pose may turn (rad) and move (m) before it is relinearised."""
+
+    turn_rad: float
+    move_m: float
+
+
+OTHER_THRESHOLD = 0.1
+"""For what enters linearly or nearly so: velocities (m/s), biases and antenna points (m)."""
+
+
+def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2Params:
+    """iSAM2's settings; without thresholds everything is relinearised at every update."""
     params = gtsam.ISAM2Params()
-    params.setRelinearizeThreshold(threshold)
+    step = gtsam.ISAM2GaussNewtonParams()
+    if thresholds is None:
+        params.setRelinearizeThreshold(0.0)
+        step.setWildfireThreshold(0.0)
+    else:
+        sizes = gtsam.ISAM2ThresholdMap()
+        sizes.insert(("x", np.repeat(thresholds, 3)))
+        for letter, size in (("v", 3), ("b", 6), ("a", 3), ("c", 3), ("l", 3)):
+            sizes.insert((letter, np.full(size, OTHER_THRESHOLD)))
+        params.setRelinearizeThreshold(sizes)
+        params.enablePartialRelinearizationCheck = True
+        step.setWildfireThreshold(WILDFIRE)
     params.relinearizeSkip = 1
     params.findUnusedFactorSlots = True
-    params.enablePartialRelinearizationCheck = threshold > 0
     params.setFactorization(factorization.upper())
-    step = gtsam.ISAM2GaussNewtonParams()
-    step.setWildfireThreshold(WILDFIRE if threshold > 0 else 0.0)
     params.setOptimizationParams(step)
     return params
 
@@ -32,9 +51,9 @@ def parameters(factorization: str, threshold: float) -> gtsam.ISAM2Params:
 class WholeTree:
     """iSAM2 over everything so far."""
 
-    def __init__(self, factorization: str, threshold: float) -> None:
+    def __init__(self, factorization: str, thresholds: Thresholds | None) -> None:
         self.factorization = factorization
-        self.isam = gtsam.ISAM2(parameters(factorization, threshold))
+        self.isam = gtsam.ISAM2(parameters(factorization, thresholds))
         self._solver: gtsam.ISAM2 | gtsam.IncrementalFixedLagSmoother = self.isam
 
     def update(
@@ -80,10 +99,10 @@ class WholeTree:
 class FixedLagTree(WholeTree):
     """iSAM2 over the last `lag_s` seconds; what is older is marginalised."""
 
-    def __init__(self, factorization: str, threshold: float, lag_s: float) -> None:
+    def __init__(self, factorization: str, thresholds: Thresholds | None, lag_s: float) -> None:
         self.factorization = factorization
         self._solver = self._lag = gtsam.IncrementalFixedLagSmoother(
-            lag_s, parameters(factorization, threshold)
+            lag_s, parameters(factorization, thresholds)
         )
         self.isam = self._lag.getISAM2()
 
@@ -106,7 +125,7 @@ def relinearized(tree: WholeTree, rounds: int = 30, tolerance: float = 1e-7) -> 
 
     The tolerance is on the largest change of any variable: rad, m, m/s, or a bias's units.
     """
-    fresh = WholeTree(tree.factorization, 0.0)
+    fresh = WholeTree(tree.factorization, None)
     graph = gtsam.NonlinearFactorGraph(tree.isam.getFactorsUnsafe())
     fresh.isam.update(graph, tree.isam.calculateBestEstimate())
     for _ in range(rounds):

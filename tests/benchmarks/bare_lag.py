@@ -25,10 +25,14 @@ LAG_S, START_YAW_SIGMA_RAD = 5.0, 0.3
 PAGE_MB = resource.getpagesize() / 2**20
 
 
-def isam_params(factorization="QR"):
-    """iSAM2's settings that pay for a chain of keyframes."""
+def isam_params(factorization="QR", fix_sigma_m=1.0):
+    """The settings of iSAM2 that fgloc has."""
     params = gtsam.ISAM2Params()
-    params.setRelinearizeThreshold(0.1)
+    thresholds = gtsam.ISAM2ThresholdMap()
+    thresholds.insert(("x", np.repeat([0.01, min(0.1, fix_sigma_m)], 3)))
+    thresholds.insert(("v", np.full(3, 0.1)))
+    thresholds.insert(("b", np.full(6, 0.1)))
+    params.setRelinearizeThreshold(thresholds)
     params.relinearizeSkip = 1
     params.findUnusedFactorSlots = True
     params.enablePartialRelinearizationCheck = True

@@ -40,7 +40,7 @@ def main() -> None:
         option = ["--factorization", args.factorization]
         commands = {
             "fgloc": [HERE / "lag_hour.py", "--fgloc", folder, *option],
-            "bare": [HERE / "bare_lag.py", folder, "--lag", str(LAG_S), *option],
+            "bare": [HERE / "bare_lag.py", folder, "--lag", str(LAG_S), "--loss", "huber", *option],
         }
         for number in range(args.runs):
             print(f"run {number + 1}: {args.duration:g} s, {args.factorization}")

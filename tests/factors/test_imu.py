@@ -123,10 +123,9 @@ def test_a_car_on_a_circle_comes_back_to_where_it_started():
     pim = gtsam.PreintegratedImuMeasurements(imu.parameters(0.01, 0.001, GRAVITY))
     imu.integrate(pim, np.tile([0, speed * rate, GRAVITY], (n, 1)), np.tile([0, 0, rate], (n, 1)),
                   np.full(n, dt))  # fmt: skip
-    R, p, v = imu.predict(
-        imu.table([imu.snapshot(pim)]), np.eye(3)[None], np.zeros((1, 3)), np.array([[speed, 0.0, 0]]),
-        np.zeros((1, 6)), GRAVITY,
-    )  # fmt: skip
+    deltas, velocity = imu.table([imu.snapshot(pim)]), np.array([[speed, 0.0, 0.0]])
+    start = np.eye(3)[None], np.zeros((1, 3)), velocity
+    R, p, v = imu.predict(deltas, *start, np.zeros((1, 6)), GRAVITY)
     np.testing.assert_allclose(p[0], 0, atol=0.2)  # the held samples lag by half a step
     np.testing.assert_allclose(R[0], np.eye(3), atol=1e-9)
     np.testing.assert_allclose(v[0], [speed, 0, 0], atol=0.02)
