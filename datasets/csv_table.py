@@ -5,12 +5,13 @@ Floats are written as the shortest text that reads back to the same number.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic_core import to_json
 
 from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer
 from fgloc.errors import DriveError
@@ -42,13 +43,17 @@ def write_csv(path: Path, columns: Mapping[str, ArrayLike]) -> None:
 def format_csv(columns: Mapping[str, ArrayLike]) -> str:
     """The text of a CSV file: a header, one line per row, the last one ended too."""
     cells = [_exact(name, values).tolist() for name, values in columns.items()]
-    n, width = len(cells[0]), len(cells)
-    flat: list[Any] = [None] * (n * width)
-    for i, column in enumerate(cells):
-        flat[i::width] = column
-    # One interpolation for the whole table: %r is the shortest exact text of int and float.
-    row = ",".join(["%r"] * width) + "\n"
-    return ",".join(columns) + "\n" + (row * n) % tuple(flat)
+    return "\n".join([",".join(columns), *format_rows(zip(*cells, strict=True)), ""])
+
+
+def format_rows(rows: Iterable[Sequence[float]]) -> list[str]:
+    """Each row of numbers as text with commas between: the shortest that reads back exactly.
+
+    Pydantic's JSON has the digits of Python's `repr` in a tenth of the time; a table of numbers
+    is JSON but for the brackets.
+    """
+    text = to_json(list(rows)).decode()
+    return text[2:-2].split("],[") if len(text) > 2 else []
 
 
 def _exact(name: str, values: ArrayLike) -> NDArray[Any]:

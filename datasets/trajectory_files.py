@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fgloc.datasets.columns import Columns
-from fgloc.datasets.csv_table import read_csv, write_csv
+from fgloc.datasets.csv_table import format_rows, read_csv, write_csv
 from fgloc.datasets.trajectory_columns import (
     TRAJECTORY,
     quaternions_to_matrices,
@@ -60,8 +60,8 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     if trajectory.R_world_veh is not None:
         q = matrix_to_quat_xyzw(trajectory.R_world_veh)
     stamps = map(ns_to_decimal, trajectory.t_ns.tolist())
-    rows = np.hstack([trajectory.p_world_m, q]).tolist()
-    lines = [f"{t} {' '.join(map(repr, row))}\n" for t, row in zip(stamps, rows, strict=True)]
+    rows = format_rows(np.hstack([trajectory.p_world_m, q]).tolist())
+    lines = [f"{t} {row.replace(',', ' ')}\n" for t, row in zip(stamps, rows, strict=True)]
     Path(path).write_text("".join(lines), encoding="utf-8", newline="\n")
 
 

@@ -223,25 +223,28 @@ def _plain_metrics(judged: Judgement) -> dict[str, Any]:
     return {name: metric.to_dict() for name, metric in judged.metrics.items()}
 
 
-def _verdict_rows(table: SourceVerdicts) -> Iterator[str]:
-    """Lines of one source; texts repeat, so each is quoted once."""
-    verdict, reason = table.verdict.tolist(), table.reason.tolist()
-    quoted = {text: _cell(text) for text in {*verdict, *reason, table.source}}
-    columns = zip(
-        table.t_ns.tolist(), table.received_ns.tolist(), verdict, _numbers(table.nis),
-        table.dof.tolist(), _numbers(table.threshold), reason, strict=True,
-    )  # fmt: skip
-    source = quoted[table.source]
-    for t, received, fate, nis, dof, threshold, why in columns:
-        yield f"{source},{t},{received},{quoted[fate]},{nis},{dof},{threshold},{quoted[why]}\n"
+def _verdict_rows(table: SourceVerdicts) -> list[str]:
+    """Lines of one source. Most have no numbers: these share their ends by fate and reason."""
+    fates, reasons = table.verdict.tolist(), table.reason.tolist()
+    plain = {pair: _end(*pair, ",0,") for pair in set(zip(fates, reasons, strict=True))}
+    ends = list(map(plain.__getitem__, zip(fates, reasons, strict=True)))
+    numbered = (table.dof != 0) | ~np.isnan(table.nis) | ~np.isnan(table.threshold)
+    for row in np.flatnonzero(numbered).tolist():
+        numbers = f"{_number(table.nis[row])},{table.dof[row]},{_number(table.threshold[row])}"
+        ends[row] = _end(fates[row], reasons[row], numbers)
+    stamps = zip(table.t_ns.tolist(), table.received_ns.tolist(), ends, strict=True)
+    source = _cell(table.source)
+    return [f"{source},{t},{received},{end}" for t, received, end in stamps]
 
 
-def _numbers(column: np.ndarray) -> list[str]:
-    """Shortest exact texts, empty for NaN, which most are."""
-    texts = [""] * len(column)
-    for row in np.flatnonzero(~np.isnan(column)).tolist():
-        texts[row] = repr(float(column[row]))
-    return texts
+def _end(fate: str, reason: str, numbers: str) -> str:
+    """The columns from the verdict on; `numbers` are nis, dof and threshold."""
+    return f"{_cell(fate)},{numbers},{_cell(reason)}\n"
+
+
+def _number(value: float) -> str:
+    """The shortest exact text, empty for NaN."""
+    return "" if np.isnan(value) else repr(float(value))
 
 
 def _cell(text: str) -> str:

@@ -73,14 +73,15 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
 
     Raises DriveError where there are no fixes, no IMU, or the two do not overlap in time.
     """
-    imu, gnss = drive.imu, drive.gnss
+    gnss = drive.gnss
     verdicts = {
         name: SourceVerdicts.of(name, table, Verdict.UNUSED, f"no {name} factor in this method")
         for name, table in drive.tables.items()
     }
+    imu = _usable_samples(drive.imu, verdicts["imu"], drive.name)
     usable = _usable_fixes(gnss, imu, verdicts["gnss"], drive.name)
     first, last = gnss.t_ns[usable[0]], imu.t_ns[-1]
-    _judge_imu(imu, first, verdicts["imu"])
+    _judge_early(drive.imu, imu, first, verdicts["imu"])
     gaps = _gaps(imu, first, config.imu.gap_s)
     keyframes = np.unique(np.concatenate([gnss.t_ns[usable], gaps.ravel(), [first, last]]))
     keyframes = _fill(keyframes, config.keyframe_interval_s)
@@ -95,32 +96,57 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
     return Plan(epochs, verdicts, _gap_events(gaps))
 
 
+def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> ImuSamples:
+    """The samples that are finite and the first of their instant."""
+    finite = np.isfinite(imu.accel_mps2).all(-1) & np.isfinite(imu.gyro_radps).all(-1)
+    duplicate = _repeats(imu.t_ns, finite)
+    verdicts.set(slice(None), Verdict.USED)
+    verdicts.set(duplicate, Verdict.DUPLICATE, "an earlier row has the same t_ns")
+    verdicts.set(~finite, Verdict.INVALID, "specific force or angular rate is not finite")
+    if not finite.any():
+        raise DriveError(f"drive {name!r}: none of its {len(imu)} IMU samples is finite")
+    return imu.take(finite & ~duplicate)
+
+
 def _usable_fixes(
     gnss: GnssFixes, imu: ImuSamples, verdicts: SourceVerdicts, name: str
 ) -> NDArray[np.int64]:
-    """Rows that can enter: finite, the first of their instant, and where there is an IMU."""
-    duplicate = np.zeros(len(gnss), bool)
-    duplicate[1:] = gnss.t_ns[1:] == gnss.t_ns[:-1]
-    outside = (gnss.t_ns < imu.t_ns[0]) | (gnss.t_ns > imu.t_ns[-1])
+    """Rows that can enter: sound, the first such of their instant, and where there is an IMU."""
     finite = np.isfinite(gnss.p_world_ant_m).all(-1) & np.isfinite(gnss.cov_world_m2).all((-1, -2))
+    definite = np.zeros(len(gnss), bool)
+    definite[finite] = np.linalg.eigvalsh(gnss.cov_world_m2[finite])[:, 0] > 0
+    duplicate = _repeats(gnss.t_ns, definite)
+    outside = (gnss.t_ns < imu.t_ns[0]) | (gnss.t_ns > imu.t_ns[-1])
     verdicts.set(slice(None), Verdict.UNUSED, "not reached")
     verdicts.set(duplicate, Verdict.DUPLICATE, "an earlier row has the same t_ns")
     verdicts.set(outside, Verdict.OUTSIDE, "no IMU samples at this time")
+    verdicts.set(~definite, Verdict.INVALID, "the covariance is not positive definite")
     verdicts.set(~finite, Verdict.INVALID, "position or covariance is not finite")
-    usable = np.flatnonzero(finite & ~duplicate & ~outside)
+    usable = np.flatnonzero(definite & ~duplicate & ~outside)
     if len(usable) < 2:
         raise DriveError(
             f"drive {name!r}: {len(usable)} of {len(gnss)} GNSS fixes lie within the IMU's span of "
-            "time; at least 2 are needed (are both on the same clock? GPS is 18 s ahead of UTC)"
+            f"time and are valid ({int(outside.sum())} outside, {int((~definite).sum())} invalid); "
+            "at least 2 are needed (are both on the same clock? GPS is 18 s ahead of UTC)"
         )
     return usable
 
 
-def _judge_imu(imu: ImuSamples, first_ns: int, verdicts: SourceVerdicts) -> None:
+def _repeats(t_ns: Instants, sound: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(N,) bool: sound rows of an instant that an earlier sound row has already told of."""
+    rows = np.flatnonzero(sound)
+    repeats = np.zeros(len(t_ns), bool)
+    repeats[rows[1:]] = t_ns[rows[1:]] == t_ns[rows[:-1]]
+    return repeats
+
+
+def _judge_early(
+    read: ImuSamples, usable: ImuSamples, first_ns: int, verdicts: SourceVerdicts
+) -> None:
     """Samples before the last one at or before the first fix have nothing to carry."""
-    start = max(int(np.searchsorted(imu.t_ns, first_ns, side="right")) - 1, 0)
-    verdicts.set(slice(None), Verdict.USED)
-    verdicts.set(slice(0, start), Verdict.OUTSIDE, "before the first usable fix")
+    start = max(int(np.searchsorted(usable.t_ns, first_ns, side="right")) - 1, 0)
+    early = verdicts.is_(Verdict.USED) & (read.t_ns < usable.t_ns[start])
+    verdicts.set(early, Verdict.OUTSIDE, "before the first usable fix")
 
 
 def _gaps(imu: ImuSamples, first_ns: int, gap_s: float) -> NDArray[np.int64]:

@@ -82,6 +82,11 @@ def test_a_setting_is_not_blamed_on_the_file_it_overrides(tmp_path):
     assert fault(written(tmp_path, "lag_s = 5\n"), ["lag_s=0"]).startswith("--set: lag_s = 0: ")
 
 
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_a_setting_must_be_a_finite_number(value):
+    assert "finite number" in fault(settings=[f"gnss.sigma_scale={value}"])
+
+
 def test_a_setting_for_a_section_is_told_as_one():
     assert fault(settings=["gnss=none"]).startswith("--set: gnss = 'none': ")
 

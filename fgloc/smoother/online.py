@@ -22,7 +22,14 @@ from fgloc.result import Event
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import guess, gyro_yaw
 from fgloc.smoother.model import YAW_SIGMA_RAD, Factors, Interval, Model, State, read_state
-from fgloc.smoother.solve import choose_yaw, explain_failure, first_values, optimize, yaw_sigma_rad
+from fgloc.smoother.solve import (
+    choose_yaw,
+    explain_failure,
+    first_values,
+    optimize,
+    singular,
+    yaw_sigma_rad,
+)
 from fgloc.smoother.states import StateLog
 from fgloc.smoother.tree import FixedLagTree, Stamps, WholeTree, as_graph, relinearized
 from fgloc.verdicts import Verdict
@@ -70,7 +77,10 @@ class Online:
         """Feed every keyframe; raises SolverError where even a rebuilt window cannot be solved."""
         arrivals = _arrivals(self.model)
         for j in range(len(self.model)):
-            self._step(j, arrivals[j])
+            try:
+                self._step(j, arrivals[j])
+            except np.linalg.LinAlgError as err:
+                raise singular(self.model, j) from err
         self._finish(arrivals[-1])
 
     @property
@@ -332,7 +342,10 @@ class Online:
         j, values = len(self.model) - 1, gtsam.Values()
         late, _ = self._take_in(j, fixes, values, self._states[j].pose, self._covs[j][:6, :6])
         if late:
-            self._tree.update(late, values, self._stamps(j, j))
+            try:
+                self._tree.update(late, values, self._stamps(j, j))
+            except RuntimeError as err:
+                self._recover(j, err)
         if self.last is None:
             return
         tree = relinearized(self._tree) if self.lag_s is None else self._tree

@@ -58,7 +58,10 @@ def _run(
     params: gtsam.LevenbergMarquardtParams,
 ) -> tuple[gtsam.Values, int]:  # fmt: skip
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values, params)
-    return optimizer.optimize(), optimizer.iterations()
+    solved = optimizer.optimize()
+    if not np.isfinite(optimizer.error()):
+        raise SolverError("the cost is not finite; a measurement is out of all bounds")
+    return solved, optimizer.iterations()
 
 
 def covariances(
@@ -97,6 +100,15 @@ def explain_failure(err: Exception, model: Model) -> SolverError:
     return SolverError(
         f"the solver failed at the {name} of keyframe {j}, t = {model.t_s[j]:.2f} s "
         f"({iso_utc(t_ns)}): {missing}"
+    )
+
+
+def singular(model: Model, j: int) -> SolverError:
+    """What to say where the covariance of a state can no longer be inverted."""
+    return SolverError(
+        f"the solver failed at keyframe {j}, t = {model.t_s[j]:.2f} s "
+        f"({iso_utc(int(model.t_ns[j]))}): its covariance is singular; a fix claims to be "
+        "exact, or a measurement is out of all bounds"
     )
 
 

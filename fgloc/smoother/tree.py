@@ -125,7 +125,7 @@ def relinearized(tree: WholeTree, rounds: int = 30, tolerance: float = 1e-7) -> 
 
     The tolerance is on the largest change of any variable: rad, m, m/s, or a bias's units.
     """
-    fresh = WholeTree(tree.factorization, None)
+    fresh = WholeTree("qr", None)
     graph = gtsam.NonlinearFactorGraph(tree.isam.getFactorsUnsafe())
     fresh.isam.update(graph, tree.isam.calculateBestEstimate())
     for _ in range(rounds):
