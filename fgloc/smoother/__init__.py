@@ -2,6 +2,7 @@
 
 import platform
 import time
+from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -41,7 +42,7 @@ def _batch(model: Model) -> Result:
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
     summary["yaw_observable_s"] = 0.0 if known else None
     return Result(
-        run.log.trajectory(model), model.plan.verdicts, summary, "graph-batch",
+        run.log.trajectory(model), model.plan.verdicts, summary, summary["method"],
         causal=False, events=model.plan.events, config=_provenance(model.config),
     )  # fmt: skip
 
@@ -56,14 +57,13 @@ def _online(model: Model) -> Result:
     summary["yaw_observable_s"] = None if seen is None else (seen - int(model.t_ns[0])) / 1e9
     return Result(
         online.log.trajectory(model), model.plan.verdicts, summary,
-        "graph-lag" if lag_s else "graph-incremental", causal=True,
+        summary["method"], causal=True,
         smoothed=online.last.trajectory(model) if online.last else None,
         events=_in_order((*model.plan.events, *online.events)), config=_provenance(config),
     )  # fmt: skip
 
 
 def _summary(model: Model, factors: int) -> dict[str, Any]:
-    origin = model.drive.origin
     return {
         "drive": model.drive.name,
         "method": next(m for m, mode in METHODS.items() if mode == model.config.mode),
@@ -71,7 +71,7 @@ def _summary(model: Model, factors: int) -> dict[str, Any]:
         "states": len(model),
         "factors": factors,
         "counts": counts(model.plan.verdicts),
-        "origin": vars(origin) | {},
+        "origin": asdict(model.drive.origin),
     }
 
 

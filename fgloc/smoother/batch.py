@@ -18,6 +18,7 @@ from fgloc.smoother.solve import (
     choose_yaw,
     covariances,
     first_values,
+    misfit,
     optimize,
     yaw_sigma_rad,
 )
@@ -51,22 +52,25 @@ def run_batch(model: Model) -> BatchRun:
     intervals = [None, *(model.interval(j) for j in range(1, len(model)))]
     start = guess(model, 0, len(model) - 1, gyro_yaw(model))
     groups = _groups(model, intervals, first_values(model, start, 1))
-    start = choose_yaw(model, start, groups)
-    values = first_values(model, start, len(model))
     with_fix = np.flatnonzero(model.fix_of >= 0)
     gated = np.zeros(len(with_fix), bool)
-    iterations = 0
-    for _ in range(MAX_ROUNDS):
-        graph = _graph(model, groups, with_fix[gated])
-        values, count = optimize(graph, values, model)
-        iterations += count
+    graph = _graph(model, groups, with_fix[gated])
+    values, iterations = optimize(graph, first_values(model, start, len(model)), model)
+    if graph.error(values) > misfit(len(with_fix)):
+        turned = choose_yaw(model, start, groups)
+        if turned is not start:
+            values, iterations = optimize(graph, first_values(model, turned, len(model)), model)
+    for rounds in range(1, MAX_ROUNDS + 1):
         joint = covariances(graph, values, model)
         cov = np.stack([joint([X(j)]) for j in range(len(model))])
         nis, weight = _leave_one_out(model, values, joint, cov, with_fix, gated)
         beyond = nis > model.gate_nis
-        if np.array_equal(beyond, gated):
+        if np.array_equal(beyond, gated) or rounds == MAX_ROUNDS:
             break
         gated = beyond
+        graph = _graph(model, groups, with_fix[gated])
+        values, count = optimize(graph, values, model)
+        iterations += count
     _judge(model, with_fix, gated, nis, weight)
     log = _log(model, values, cov, intervals)
     first = model.epoch_of[0]

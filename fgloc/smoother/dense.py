@@ -27,18 +27,21 @@ def fill(log: StateLog, model: Model, intervals: Sequence[Interval | None], bias
     `intervals[j]` leads to keyframe j (None: nothing to fill); bias (n, 6) is each keyframe's.
     """
     at = model.epoch_of
-    inner = [
-        (j, at[j - 1] + 1 + k, part, imu.snapshot(interval.pim))
-        for j, interval in enumerate(intervals)
-        if interval is not None
-        for k, part in enumerate(interval.inner)
-    ]
-    if not inner:
+    held = [(j, interval) for j, interval in enumerate(intervals) if interval and interval.inner]
+    if not held:
         return
-    j, epochs, part, whole = zip(*inner, strict=True)
-    left = np.array(j) - 1
-    fill_between(log, np.array(epochs), at[left], at[left + 1], imu.table(part), imu.table(whole),
-                 bias[left], model.gravity_mps2)  # fmt: skip
+    part = imu.table([snapshot for _, interval in held for snapshot in interval.inner])
+    whole = imu.table([imu.snapshot(interval.pim) for _, interval in held])
+    count = [len(interval.inner) for _, interval in held]
+    which = np.repeat(np.arange(len(held)), count)
+    left = np.array([j - 1 for j, _ in held])[which]
+    epochs = np.concatenate(
+        [at[j - 1] + 1 + np.arange(n) for (j, _), n in zip(held, count, strict=True)]
+    )
+    whole = imu.ImuDeltas(*(column[which] for column in whole))
+    fill_between(
+        log, epochs, at[left], at[left + 1], part, whole, bias[left], model.gravity_mps2
+    )  # fmt: skip
 
 
 def fill_between(

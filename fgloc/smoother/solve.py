@@ -112,6 +112,11 @@ def singular(model: Model, j: int) -> SolverError:
     )
 
 
+def misfit(fixes: int) -> float:
+    """The cost above which a solution of so many fixes does not fit; see `FITS`."""
+    return FITS * 3 * fixes / 2
+
+
 def choose_yaw(model: Model, guess: Guess, factors: list[Factors], length: int = 40) -> Guess:
     """The guess turned to the heading that the first moving stretch fits best.
 
@@ -123,7 +128,7 @@ def choose_yaw(model: Model, guess: Guess, factors: list[Factors], length: int =
     speed = np.linalg.norm(guess.v_world_mps[:, :2], axis=1)
     n = min(len(factors), int(np.argmax(speed > 0.5 * speed.max())) + length)
     graph = as_graph(factor for group in factors[:n] for factor in group)
-    slack = FITS * 3 * int((model.fix_of[guess.first : guess.first + n] >= 0).sum()) / 2
+    slack = misfit(int((model.fix_of[guess.first : guess.first + n] >= 0).sum()))
 
     def cost(turned: Guess) -> float:
         return float(graph.error(optimize(graph, first_values(model, turned, n), model)[0]))
