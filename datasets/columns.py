@@ -3,7 +3,6 @@
 Units and frames stand in the column names, so a wrong unit is found in the header.
 """
 
-import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.errors import DriveError
+from fgloc.errors import DriveError, nearest
 
 Columns = dict[str, NDArray[Any]]
 """Columns of one table by name, all of one length: int64 where the name ends in `_ns`."""
@@ -93,8 +92,7 @@ def _unknown(name: str, valid: Sequence[str]) -> str:
     same_stem = [v for v in valid if v.rpartition("_")[0] == stem and stem]
     if same_stem:
         return f"unknown unit {unit!r} in column {name!r}; want {same_stem[0]!r}"
-    nearest = difflib.get_close_matches(name, valid, n=1, cutoff=0.0)[0]
-    return f"unknown column {name!r}; the nearest valid name is {nearest!r}"
+    return f"unknown column {name!r}; the nearest valid name is {nearest(name, valid)!r}"
 
 
 def _looks_like_number(text: str) -> bool:

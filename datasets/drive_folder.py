@@ -4,7 +4,6 @@ Reading gives back every bit that was written. The attitude of the truth is stor
 for that reason (columns r00 to r22); quaternions qx,qy,qz,qw are read as well.
 """
 
-import difflib
 from pathlib import Path
 
 from fgloc.datasets.columns import Columns, Layout
@@ -28,7 +27,7 @@ from fgloc.datasets.drive_toml import (
 from fgloc.datasets.parquet_table import read_table, write_table
 from fgloc.datasets.trajectory_columns import TRUTH, trajectory_from_columns, trajectory_to_columns
 from fgloc.drive import Drive
-from fgloc.errors import DriveError
+from fgloc.errors import DriveError, nearest
 from fgloc.frames import Origin
 from fgloc.measurements import Table
 from fgloc.trajectory import Trajectory
@@ -138,10 +137,10 @@ def _table_files(folder: Path) -> dict[str, Path]:
     files: dict[str, Path] = {}
     for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES):
         if path.stem not in _STEMS or path.suffix not in _SUFFIXES:
-            near = difflib.get_close_matches(path.stem.lower(), _STEMS, n=1, cutoff=0.0)[0]
             raise DriveError(
                 f"{path}: is not a table that a drive has; the nearest valid name is "
-                f"'{near}{path.suffix.lower()}'; rename it or move it out of the folder"
+                f"'{nearest(path.stem, _STEMS)}{path.suffix.lower()}'; "
+                "rename it or move it out of the folder"
             )
         if path.stem in files:
             raise DriveError(

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from fgloc.config import validate
 from fgloc.drive import About, Drive, ImuNoise, Rig
 from fgloc.errors import ConfigError, DriveError, InputError
-from fgloc.frames import Origin
+from fgloc.frames import HEIGHT_LIMITS_M, LATITUDE_LIMITS_DEG, LONGITUDE_LIMITS_DEG, Origin
 
 FILE_NAME = "drive.toml"
 
@@ -39,9 +39,9 @@ class AboutPart(_Part):
 class OriginPart(_Part):
     """[origin]: where the world frame touches the Earth."""
 
-    lat_deg: float = Field(ge=-90, le=90)
-    lon_deg: float = Field(ge=-180, le=360)
-    height_m: float = Field(ge=-12_000, le=100_000)
+    lat_deg: float = Field(ge=LATITUDE_LIMITS_DEG[0], le=LATITUDE_LIMITS_DEG[1])
+    lon_deg: float = Field(ge=LONGITUDE_LIMITS_DEG[0], le=LONGITUDE_LIMITS_DEG[1])
+    height_m: float = Field(ge=HEIGHT_LIMITS_M[0], le=HEIGHT_LIMITS_M[1])
     datum: Literal["ellipsoid", "msl"] = "ellipsoid"
 
 

@@ -1,14 +1,13 @@
 """Every drive that can be opened by name: real samples, simulated scenarios, importers."""
 
-import difflib
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from fgloc.drive import Drive
-from fgloc.errors import InputError
+from fgloc.errors import InputError, nearest
 
 DEFAULT_SEED = 0
 """Seed of a scenario that is opened by name without one."""
@@ -49,7 +48,7 @@ def available() -> list[DatasetInfo]:
     return list(_INFOS)
 
 
-def open_drive(name_or_path: str | Path, *, seed: int | None = None, **options: Any) -> Drive:
+def open_drive(name_or_path: str | Path, /, *, seed: int | None = None, **options: Any) -> Drive:
     """The drive in a folder, or the one of a registered name.
 
     A folder that holds a drive comes before a name of the same spelling, unless a seed is given:
@@ -73,7 +72,7 @@ def open_drive(name_or_path: str | Path, *, seed: int | None = None, **options: 
     )
 
 
-def make(name: str, seed: int = DEFAULT_SEED, **options: Any) -> Drive:
+def make(name: str, /, seed: int = DEFAULT_SEED, **options: Any) -> Drive:
     """A simulated drive; equal seeds and options give equal drives, bit for bit.
 
     Raises InputError for an unknown scenario or option.
@@ -83,7 +82,7 @@ def make(name: str, seed: int = DEFAULT_SEED, **options: Any) -> Drive:
     return _call(_scenario(name), f"scenario {name!r}", {"seed": seed}, options)
 
 
-def import_recording(format: str, source: str | Path, **options: Any) -> Drive:
+def import_recording(format: str, source: str | Path, /, **options: Any) -> Drive:
     """A recording in a known format as a drive; InputError for an unknown format or option."""
     if format not in _names("importer"):
         raise InputError(f"no import format named {format!r}; {_nearest(format, 'importer')}")
@@ -119,11 +118,13 @@ def _call(
 ) -> Drive:
     """Call with options whose names and types are checked against the function's own."""
     parameters = inspect.signature(function).parameters
-    valid = {name: p for name, p in parameters.items() if name not in given}
+    valid = [name for name in parameters if name not in given]
     for name, value in options.items():
         if name not in valid:
-            near = _closest(name, valid)
-            raise InputError(f"{what} has no option {name!r}; the nearest valid name is {near!r}")
+            raise InputError(
+                f"{what} has no option {name!r}; the nearest valid name is "
+                f"{nearest(name, valid)!r} (there are: {', '.join(valid)})"
+            )
         _check_number(what, name, value)
     return function(**given, **options)
 
@@ -140,8 +141,4 @@ def _names(*kinds: str) -> list[str]:
 
 def _nearest(name: str, *kinds: str) -> str:
     valid = _names(*kinds)
-    return f"the nearest is {_closest(name, valid)!r} (there are: {', '.join(valid)})"
-
-
-def _closest(name: str, valid: Iterable[str]) -> str:
-    return difflib.get_close_matches(name.lower(), list(valid), n=1, cutoff=0.0)[0]
+    return f"the nearest is {nearest(name, valid)!r} (there are: {', '.join(valid)})"

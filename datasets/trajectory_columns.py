@@ -1,5 +1,6 @@
 """A trajectory as columns of a table: what `trajectory.csv` and a drive's `truth.csv` hold."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ SIGMAS = ("sigma_lateral_m", "sigma_longitudinal_m")
 _AXES = ("e", "n", "u", "re", "rn", "ru")
 _UPPER = np.triu_indices(6)
 _QUATERNION_TOLERANCE = 0.01
+_ROTATION_TOLERANCE = 1e-6
 
 
 def _covariance_name(i: int, j: int) -> str:
@@ -105,9 +107,9 @@ def positions(path: Path, columns: Columns, origin: Origin | None) -> Array:
 
 def check_places(path: Path, columns: Columns) -> None:
     """Raise DriveError at the first latitude, longitude or height that cannot be."""
-    limits = {"lat_deg": (-90, 90), "lon_deg": (-180, 360), "height_m": (-12_000, 100_000)}
+    limits = (frames.LATITUDE_LIMITS_DEG, frames.LONGITUDE_LIMITS_DEG, frames.HEIGHT_LIMITS_M)
     hints = {"lat_deg": "; is it swapped with the longitude?", "height_m": "; is it in mm?"}
-    for name, (low, high) in limits.items():
+    for name, (low, high) in zip(GEODETIC, limits, strict=True):
         bad = (columns[name] < low) | (columns[name] > high)
         if bad.any():
             row = int(np.argmax(bad))
@@ -117,23 +119,30 @@ def check_places(path: Path, columns: Columns) -> None:
             )
 
 
-def check_increasing(path: Path, t_ns: Instants, *, duplicates: bool = False) -> None:
-    """Raise DriveError where `t_ns` goes back, or stays and `duplicates` are not allowed."""
+def check_increasing(
+    path: Path,
+    t_ns: Instants,
+    *,
+    duplicates: bool = False,
+    lines: Sequence[int] | None = None,
+    stamp: Callable[[int], str] = "t_ns = {}".format,
+) -> None:
+    """Raise DriveError where `t_ns` goes back, or stays and `duplicates` are not allowed.
+
+    `lines` gives the line numbers (N,) where they are not those of a plain table, and `stamp` an
+    instant as it stands in the file.
+    """
     back = t_ns[1:] < t_ns[:-1]
     same = t_ns[1:] == t_ns[:-1]
     bad = back if duplicates else back | same
     if not bad.any():
         return
     row = int(np.argmax(bad)) + 1
+    where = f"{_place(path, row, lines)}: {stamp(int(t_ns[row]))}"
     if same[row - 1]:
-        raise DriveError(
-            f"{place(path, row)}: t_ns = {t_ns[row]} occurs twice; remove one of the two rows"
-        )
+        raise DriveError(f"{where} occurs twice; remove one of the two rows")
     by_ns = int(t_ns[row - 1]) - int(t_ns[row])
-    raise DriveError(
-        f"{place(path, row)}: t_ns = {t_ns[row]} goes back by {by_ns} ns; "
-        "rows must be in time order: sort them"
-    )
+    raise DriveError(f"{where} goes back by {by_ns} ns; rows must be in time order: sort them")
 
 
 def symmetric(upper: Array, size: int) -> Array:
@@ -151,15 +160,14 @@ def _attitude(path: Path, columns: Columns) -> Array | None:
     if MATRIX[0] not in columns:
         return None
     R = stack(columns, MATRIX).reshape(-1, 3, 3)
-    bad = (np.abs(R @ R.swapaxes(-1, -2) - np.eye(3)) > 1e-6).any((-1, -2))
-    bad |= np.linalg.det(R) < 0
-    if bad.any():
-        where = place(path, int(np.argmax(bad)))
+    fine = frames.is_rotation(R, _ROTATION_TOLERANCE)
+    if not fine.all():
+        where = place(path, int(np.argmin(fine)))
         raise DriveError(f"{where}: r00 to r22 are not a rotation matrix; are they transposed?")
     return R
 
 
-def quaternions_to_matrices(path: Path, q_xyzw: Array, lines: ArrayLike | None = None) -> Array:
+def quaternions_to_matrices(path: Path, q_xyzw: Array, lines: Sequence[int] | None = None) -> Array:
     """Matrices (N, 3, 3) of quaternions (N, 4); DriveError at the first that is not one.
 
     `lines` gives the line numbers (N,) where they are not those of a plain table.
@@ -168,9 +176,12 @@ def quaternions_to_matrices(path: Path, q_xyzw: Array, lines: ArrayLike | None =
     bad = np.abs(norm - 1) > _QUATERNION_TOLERANCE
     if bad.any():
         row = int(np.argmax(bad))
-        where = place(path, row) if lines is None else f"{path}:{np.asarray(lines)[row]}"
         raise DriveError(
-            f"{where}: the quaternion qx,qy,qz,qw has norm {norm[row]:.6g}, expected 1; "
-            "is a row or an order of columns wrong?"
+            f"{_place(path, row, lines)}: the quaternion qx,qy,qz,qw has norm {norm[row]:.6g}, "
+            "expected 1; is a row or an order of columns wrong?"
         )
     return frames.quat_to_matrix(q_xyzw)
+
+
+def _place(path: Path, row: int, lines: Sequence[int] | None) -> str:
+    return place(path, row) if lines is None else f"{path}:{lines[row]}"

@@ -10,6 +10,7 @@ from fgloc.datasets.columns import Columns
 from fgloc.datasets.csv_table import format_rows, read_csv, write_csv
 from fgloc.datasets.trajectory_columns import (
     TRAJECTORY,
+    check_increasing,
     quaternions_to_matrices,
     trajectory_from_columns,
     trajectory_to_columns,
@@ -77,7 +78,7 @@ def read_tum(path: str | Path) -> Trajectory:
     rows = [_tum_row(f"{path}:{number}", text) for number, text in lines]
     t_ns = np.array([t for t, _ in rows], np.int64)
     values = np.array([row for _, row in rows])
-    _check_increasing(path, t_ns, numbers)
+    check_increasing(path, t_ns, lines=numbers, stamp=lambda ns: f"seconds = {ns_to_decimal(ns)}")
     R_world_veh = quaternions_to_matrices(path, values[:, 3:], numbers)
     return Trajectory(t_ns, values[:, :3], R_world_veh)
 
@@ -170,13 +171,3 @@ def _number(where: str, name: str, cell: str) -> float:
     if not np.isfinite(value):
         raise DriveError(f"{where}: {name} = {cell} is not finite; remove the line or repair it")
     return value
-
-
-def _check_increasing(path: Path, t_ns: np.ndarray[Any, Any], numbers: list[int]) -> None:
-    bad = t_ns[1:] <= t_ns[:-1]
-    if bad.any():
-        row = int(np.argmax(bad)) + 1
-        raise DriveError(
-            f"{path}:{numbers[row]}: seconds = {ns_to_decimal(int(t_ns[row]))} does not increase; "
-            "lines must be in time order without repeats"
-        )

@@ -19,7 +19,7 @@ from fgloc.trajectory import Trajectory
 DriveLike = Drive | str | Path
 
 
-def load(drive: DriveLike, *, seed: int | None = None, **options: Any) -> Drive:
+def load(drive: DriveLike, /, *, seed: int | None = None, **options: Any) -> Drive:
     """The drive of a name or folder; a `Drive` is given back as it is.
 
     A scenario takes a seed and its options, such as `duration_s`. Raises InputError for an
@@ -36,7 +36,7 @@ def load(drive: DriveLike, *, seed: int | None = None, **options: Any) -> Drive:
     return drive
 
 
-def make(scenario: str, *, seed: int = 0, **options: Any) -> Drive:
+def make(scenario: str, /, *, seed: int = 0, **options: Any) -> Drive:
     """A simulated drive; equal seeds and options give equal drives, bit for bit."""
     from fgloc.datasets import make as make_scenario
 

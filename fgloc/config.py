@@ -1,6 +1,5 @@
 """Configuration of a run: TOML in, a validated model out, all faults named at once."""
 
-import difflib
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -8,7 +7,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fgloc.errors import ConfigError
+from fgloc.errors import ConfigError, nearest
 
 M = TypeVar("M", bound=BaseModel)
 Mode = Literal["batch", "incremental", "fixed-lag"]
@@ -123,7 +122,7 @@ def load_config(
         if not equals:
             raise ConfigError(f"--set {setting}: expected key=value, e.g. gnss.loss=none")
         keys = key.strip().split(".")
-        values = merge(values, _nested(keys, _parse_value(text.strip())))
+        values = merge(values, _nested(keys, parse_value(text.strip())))
         places[".".join(keys)] = "--set"
     given = {key: value for key, value in overrides.items() if value is not None}
     values = merge(values, given)
@@ -159,6 +158,14 @@ def merge(base: Mapping[str, Any], update: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
+def parse_value(text: str) -> Any:
+    """TOML's reading of a value, or the text itself: `--set mode=batch` needs no quotes."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -170,14 +177,6 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _nested(keys: list[str], value: Any) -> dict[str, Any]:
     return {keys[0]: _nested(keys[1:], value) if len(keys) > 1 else value}
-
-
-def _parse_value(text: str) -> Any:
-    """TOML's reading of a value, or the text itself: `--set mode=batch` needs no quotes."""
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
 
 
 def _place(dotted: str, places: Mapping[str, str], where: str) -> str:
@@ -195,10 +194,7 @@ def _describe(model: type[BaseModel], fault: Any) -> str:
         return f"{dotted} is missing"
     if fault["type"] != "extra_forbidden":
         return f"{dotted} = {fault.get('input')!r}: {fault['msg']}"
-    valid = _fields_at(model, keys[:-1])
-    near = difflib.get_close_matches(keys[-1], valid, n=1, cutoff=0.0)
-    prefix = ".".join(keys[:-1])
-    best = f"{prefix}.{near[0]}" if prefix and near else (near[0] if near else "")
+    best = ".".join([*keys[:-1], nearest(keys[-1], _fields_at(model, keys[:-1]))])
     return f"unknown key {dotted!r}; the nearest valid key is {best!r}"
 
 

@@ -8,11 +8,13 @@ from typing import Self, TypeVar
 import numpy as np
 
 from fgloc.errors import DriveError
-from fgloc.frames import Origin
+from fgloc.frames import Origin, is_rotation
 from fgloc.measurements import Array, GnssFixes, ImuSamples, Table, freeze
 from fgloc.trajectory import Trajectory
 
 T = TypeVar("T", bound=Table)
+
+_ROTATION_TOLERANCE = 1e-5  # a matrix written with six decimals is one
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,7 @@ class Rig:
             if array.shape != shape or not np.isfinite(array).all():
                 raise DriveError(f"rig.{name}: expected finite numbers of shape {shape}")
             object.__setattr__(self, name, array)
-        R = self.T_veh_imu[:3, :3]
-        if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0:
+        if not is_rotation(self.T_veh_imu[:3, :3], _ROTATION_TOLERANCE):
             raise DriveError("rig.T_veh_imu: the upper left 3x3 block is not a rotation matrix")
 
 

@@ -87,7 +87,8 @@ def explain(folder: str | Path, t_s: float, *, window_s: float = 2.0) -> Explana
     events = [(float(e["t_s"]), str(e["kind"]), str(e["text"])) for e in summary["events"]]
     return Explanation(
         t_s, window_s, str(summary["method"]), tuple(listed),
-        {s: dict(Counter((r.verdict, r.reason) for r in near if r.source == s)) for s in dense},
+        {s: dict(Counter((r.verdict, r.reason) for r in near if r.source == s))
+         for s in sorted(dense)},
         _sigmas(folder / f"{TRAJECTORY}.csv", start_ns + round(t_s * NS_PER_S)),
         tuple(event for event in events if abs(event[0] - t_s) <= window_s),
     )  # fmt: skip

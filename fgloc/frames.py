@@ -24,6 +24,11 @@ R_FLU_FRD = np.diag([1.0, -1.0, -1.0])
 R_ENU_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 """North-east-down to east-north-up, and its own inverse."""
 
+LATITUDE_LIMITS_DEG = (-90, 90)
+LONGITUDE_LIMITS_DEG = (-180, 360)
+HEIGHT_LIMITS_M = (-12_000, 100_000)
+"""Places outside these are not on or near the Earth: a unit or an order of columns is wrong."""
+
 _SMALL_RAD = 1e-5
 _WGS84_A_M = 6_378_137.0
 _WGS84_F = 1 / 298.257223563
@@ -80,14 +85,13 @@ class Origin:
 
 def check_geodetic(lat_deg: float, lon_deg: float, height_m: float) -> None:
     """Raise InputError where the values cannot be a place on or near the Earth."""
-    if not -90 <= lat_deg <= 90:
-        raise InputError(
-            f"latitude {lat_deg} deg is outside [-90, 90]; is it swapped with longitude?"
-        )
-    if not -180 <= lon_deg <= 360:
-        raise InputError(f"longitude {lon_deg} deg is outside [-180, 360]")
-    if not -12_000 <= height_m <= 100_000:
-        raise InputError(f"height {height_m} m is outside [-12000, 100000]; is it in mm or cm?")
+    for what, value, (low, high), hint in (
+        ("latitude {} deg", lat_deg, LATITUDE_LIMITS_DEG, "; is it swapped with longitude?"),
+        ("longitude {} deg", lon_deg, LONGITUDE_LIMITS_DEG, ""),
+        ("height {} m", height_m, HEIGHT_LIMITS_M, "; is it in mm or cm?"),
+    ):
+        if not low <= value <= high:
+            raise InputError(f"{what.format(value)} is outside [{low}, {high}]{hint}")
 
 
 def utm_zone(lat_deg: float, lon_deg: float) -> int:
@@ -148,6 +152,13 @@ def _krueger() -> tuple[float, Array, Array]:
     beta = np.array([n / 2 - 2 / 3 * n**2 + 37 / 96 * n**3, n**2 / 48 + n**3 / 15,
                      17 / 480 * n**3])  # fmt: skip
     return radius_m, alpha, beta
+
+
+def is_rotation(R: ArrayLike, tolerance: float) -> NDArray[np.bool_]:
+    """(...) bool: which of finite (..., 3, 3) turn and do not mirror; R R^T is I to `tolerance`."""
+    R = np.asarray(R, float)
+    orthonormal = (np.abs(R @ R.swapaxes(-1, -2) - np.eye(3)) <= tolerance).all((-1, -2))
+    return np.asarray(orthonormal & (np.linalg.det(R) > 0))
 
 
 def skew(vector: ArrayLike) -> Array:

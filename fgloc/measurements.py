@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.errors import DriveError
+from fgloc.errors import DriveError, InputError
 from fgloc.timing import Instants
 
 Array = NDArray[np.float64]
@@ -28,12 +28,23 @@ def freeze(array: Any, dtype: type = np.float64) -> NDArray[Any]:
     return result
 
 
+def freeze_ns(name: str, t_ns: Any, error: type[InputError] = InputError) -> Instants:
+    """Instants as a read-only array; `error` where they are no integers.
+
+    A float has 53 bits, which is too few for the nanoseconds of today: they are lost already.
+    """
+    result = np.asarray(t_ns)
+    if result.size and result.dtype.kind not in "iu":
+        raise error(f"{name} is of type {result.dtype}; give whole nanoseconds as int64")
+    return freeze(result, np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class Table:
     """What all tables share. Subclasses add arrays whose first axis is time.
 
     `SHAPES` gives the trailing shape of each column. Raises DriveError where lengths or shapes
-    do not fit or `t_ns` goes back.
+    do not fit, stamps are not integers or `t_ns` goes back.
     """
 
     t_ns: Instants
@@ -44,8 +55,11 @@ class Table:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            is_time = field.name in ("t_ns", "received_ns")
-            column = freeze(getattr(self, field.name), np.int64 if is_time else np.float64)
+            column = getattr(self, field.name)
+            if field.name in ("t_ns", "received_ns"):
+                column = freeze_ns(f"{self.KIND}.{field.name}", column, DriveError)
+            else:
+                column = freeze(column)
             expected = (len(self.t_ns), *self.SHAPES.get(field.name, ()))
             if column.shape != expected:
                 raise DriveError(

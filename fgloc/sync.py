@@ -98,7 +98,8 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
 
 def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> ImuSamples:
     """The samples that are finite and the first of their instant."""
-    finite = np.isfinite(imu.accel_mps2).all(-1) & np.isfinite(imu.gyro_radps).all(-1)
+    values = np.hstack([imu.accel_mps2, imu.gyro_radps])
+    finite = np.asarray(np.isfinite(values).all(-1))
     duplicate = _repeats(imu.t_ns, finite)
     verdicts.set(slice(None), Verdict.USED)
     verdicts.set(duplicate, Verdict.DUPLICATE, "an earlier row has the same t_ns")

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from fgloc import frames
 from fgloc.errors import InputError
-from fgloc.measurements import Array, freeze
+from fgloc.measurements import Array, freeze, freeze_ns
 from fgloc.timing import NS_PER_S, Instants
 
 
@@ -24,7 +24,8 @@ class Trajectory:
                     turns the attitude from the world side, both in ENU; or None
     p_veh_point_m   (3,) the point, in the vehicle frame
 
-    Raises InputError where shapes do not fit, a value is not finite or time does not increase.
+    Raises InputError where shapes do not fit, stamps are not integers, a value is not finite or
+    time does not increase.
     """
 
     t_ns: Instants
@@ -35,7 +36,7 @@ class Trajectory:
     p_veh_point_m: Array = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "t_ns", freeze(self.t_ns, np.int64))
+        object.__setattr__(self, "t_ns", freeze_ns("trajectory t_ns", self.t_ns))
         if self.t_ns.ndim != 1:
             raise InputError(f"trajectory t_ns has shape {self.t_ns.shape}, expected (N,)")
         n = len(self.t_ns)

@@ -253,6 +253,33 @@ def test_make_is_repeatable_and_does_not_overwrite_unasked(run, refuse, city, tm
     assert run(*options, tmp_path / "again", "--overwrite")[0] == 0
 
 
+def test_drives_tell_of_themselves_in_json(run, city, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    made = run("make", "city", "--seed", "1", "--duration", "30", "--out", "made", "--json")
+    told = json.loads(made[1])
+    assert told == {
+        "drive": "city", "folder": "made", "duration_s": 30.0,
+        "rows": {"gnss": 301, "imu": 3001, "wheel": 1501}, "truth_rows": 601,
+    }  # fmt: skip
+    worse = run("degrade", city, "--keep-every", "10", "--out", "worse", "--json")
+    assert json.loads(worse[1])["rows"] == {**told["rows"], "gnss": 31}
+    source = tmp_path / "recording"
+    source.mkdir()
+    (source / "imu.csv").write_text(
+        "gps_sow_s,accel_x_frd_mps2,accel_y_frd_mps2,accel_z_frd_mps2,"
+        "gyro_x_frd_radps,gyro_y_frd_radps,gyro_z_frd_radps\n243262.0,0,0,-9.8,0,0,0\n"
+    )
+    (source / "rtk.csv").write_text(
+        "gps_sow_s,lat_deg,lon_deg,ellipsoidal_height_m,quality,sigma_e_m,sigma_n_m,sigma_u_m,"
+        "v_north_mps,v_east_mps,v_down_mps\n243262.0,40,-105,1600,1,1,1,1,0,0,0\n"
+    )
+    status, text, _ = run("import", "mems-rtk", source, "--out", "new", "--json")
+    assert status == 0 and json.loads(text) == {
+        "drive": "mems-rtk", "folder": "new", "duration_s": 0.0, "rows": {"gnss": 1, "imu": 1},
+        "truth_rows": 0,
+    }  # fmt: skip
+
+
 def test_import_and_datasets(run, refuse, tmp_path):
     status, text, _ = run("datasets")
     assert status == 0 and "mems-rtk" in text and "BSD-3-Clause" in text and "city" in text
@@ -395,6 +422,22 @@ def test_missing_files(refuse, spoiled, tmp_path):
     assert "not a drive folder" in refuse("smooth", spoiled, "--out", out)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["make", "city", "--set", "seed=3"], "a seed comes from --seed alone"),
+        (["make", "city", "--seed", "3", "--set", "seed=3"], "a seed comes from --seed alone"),
+        (["make", "city", "--set", "name=x"], "no option 'name'; the nearest valid name is"),
+        (["make", "city", "--set", "scenario=x"], "(there are: duration_s)"),
+        (["import", "mems-rtk", "x", "--set", "source=y"], "no option 'source'"),
+        (["import", "mems-rtk", "x", "--set", "format=y"], "there are: gps_week, start_sow_s"),
+    ],
+)
+def test_settings_that_are_no_options(refuse, tmp_path, arguments, says):
+    assert says in refuse(*arguments, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_places_where_no_results_can_go(refuse, city, tmp_path):
     a_file = tmp_path / "file"
     a_file.write_text("")
@@ -433,6 +476,12 @@ def test_the_traceback_is_there_for_the_asking(monkeypatch, capsys, tmp_path):
     monkeypatch.setenv(cli.TRACEBACK, "1")
     assert main(["smooth", "mems-rtx", "--out", str(tmp_path / "out")]) == 2
     assert "Traceback" in capsys.readouterr().err
+
+
+def test_dense_sources_are_counted_in_the_order_of_their_names(city, run, tmp_path):
+    run("smooth", city, "--out", tmp_path / "out", "--no-report")
+    found = json.loads(run("explain", tmp_path / "out", "--t", "15", "--json")[1])
+    assert list(found["counted"]) == ["gnss", "imu", "wheel"]
 
 
 def test_verdict_cells_are_quoted_where_they_must_be(tmp_path):

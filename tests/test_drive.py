@@ -42,6 +42,11 @@ def test_a_rig_takes_any_rotation_and_cannot_be_written_to():
         rig.T_veh_imu[0, 3] = 1.0
 
 
+def test_a_mount_may_be_written_with_six_decimals():
+    R = frames.exp_so3([0.1, 2.0, -0.4]).round(6)
+    np.testing.assert_array_equal(Rig(T_veh_imu=mount(R)).T_veh_imu[:3, :3], R)
+
+
 @pytest.mark.parametrize(
     "R",
     [np.diag([1, 1, -1]), 2 * np.eye(3), np.zeros((3, 3)), np.eye(3) + 1e-3],

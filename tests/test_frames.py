@@ -112,6 +112,13 @@ def test_an_origin_off_the_earth_is_refused(place, hint):
 # Rotations
 
 
+def test_a_rotation_is_told_from_what_mirrors_scales_or_shears():
+    R = frames.exp_so3([0.1, 2.0, -0.4])
+    stack = np.stack([R, -R, 1.001 * R, R + 1e-3, np.zeros((3, 3))])
+    assert frames.is_rotation(stack, 1e-6).tolist() == [True] + [False] * 4
+    assert frames.is_rotation(R.round(6), 1e-5) and frames.is_rotation(R + 1e-4, 1e-3)
+
+
 def test_frames_of_the_trade_turn_into_ours():
     np.testing.assert_array_equal(frames.R_FLU_FRD @ [1, 2, 3], [1, -2, -3])
     np.testing.assert_array_equal(frames.R_ENU_NED @ [1, 2, 3], [2, 1, -3])

@@ -65,6 +65,18 @@ def test_columns_of_another_shape_are_refused(column, value, shapes):
         wheel(**{column: value})
 
 
+@pytest.mark.parametrize("column", ["t_ns", "received_ns"])
+@pytest.mark.parametrize("stamps", [[1.0, 2.0, 3.0], [True] * 3, ["1", "2", "3"]])
+def test_stamps_that_are_no_integers_are_refused(column, stamps):
+    says = rf"wheel.{column} is of type .*; give whole nanoseconds as int64"
+    with pytest.raises(DriveError, match=says):
+        wheel(**{column: stamps})
+
+
+def test_stamps_may_be_integers_of_any_width():
+    assert wheel(t_ns=np.array([1, 2, 3], np.uint32)).t_ns.dtype == np.int64
+
+
 def test_the_shape_of_each_row_is_checked_too():
     with pytest.raises(DriveError, match=r"imu.gyro_radps has shape \(1, 2\), expected \(1, 3\)"):
         ImuSamples([1], [1], np.zeros((1, 3)), np.zeros((1, 2)))

@@ -72,7 +72,10 @@ def made_result(drive, *, seed=1, cov=True):
     return Result(
         estimate, made_verdicts(drive, rng), {"wall_s": 1.25, "realtime_factor": 96.0},
         "graph-batch", False, events=(Event(START + 40 * S, "outage", "GNSS lost for 12.0 s"),),
-        config={"mode": "batch", "gnss": {"loss": "huber", "sigma_scale": 1.0}},
+        config={
+            "mode": "batch", "gnss": {"loss": "huber", "sigma_scale": 1.0},
+            "versions": {"python": "3.99", "gtsam": "4.88"},
+        },
     )  # fmt: skip
 
 
@@ -136,9 +139,19 @@ def test_report_is_one_file_that_loads_nothing_and_holds_every_section(tmp_path)
     ]  # fmt: skip
     assert 3e6 < len(text) < 9e6
     for shown in ("horizontal_rmse_m", "smoothed: each state draws", "GNSS lost for 12.0 s",
-                  "gnss.sigma_scale", "Python", 'lang="en"', "simulated"):  # fmt: skip
+                  "gnss.sigma_scale", "Software versions", 'lang="en"', "simulated"):  # fmt: skip
         assert shown in text
     assert '"displaylogo": false' in text and '"showSendToCloud": false' in text
+
+
+def test_the_versions_are_those_of_the_run(tmp_path):
+    drive = made_drive()
+    result = made_result(drive)
+    text = written(tmp_path, drive, result)
+    assert '<th scope="row">gtsam</th><td>4.88</td>' in text and "3.99" in text
+    assert "versions.gtsam" not in text and result.config["versions"]
+    unknown = written(tmp_path, drive, replace(result, config={"mode": "batch"}))
+    assert "Software versions" not in unknown
 
 
 def test_a_causal_result_says_so_and_shows_its_smoothed_states(tmp_path):

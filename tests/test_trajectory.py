@@ -32,6 +32,15 @@ def line(**parts) -> Trajectory:
     return Trajectory([T0_NS, T0_NS + S], [[0.0, 0, 0], [10.0, 0, 0]], **parts)
 
 
+def test_stamps_that_are_no_integers_are_refused():
+    with pytest.raises(InputError, match="trajectory t_ns is of type float64; give whole nanos"):
+        Trajectory([1e18, 2e18], np.zeros((2, 3)))
+
+
+def test_a_trajectory_may_have_no_states():
+    assert len(Trajectory([], np.zeros((0, 3)))) == 0
+
+
 # Interpolation
 
 

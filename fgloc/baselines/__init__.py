@@ -3,11 +3,10 @@
 Each algorithm is a file of its own and is imported when it is used.
 """
 
-import difflib
 import time
 
 from fgloc.drive import Drive
-from fgloc.errors import InputError
+from fgloc.errors import InputError, nearest
 from fgloc.result import Result
 
 __all__ = ["RAW", "available", "check", "run"]
@@ -30,10 +29,10 @@ def check(method: str, others: tuple[str, ...] = ()) -> None:
     if method.startswith(RAW):
         return
     valid = [*others, *available()]
-    near = difflib.get_close_matches(method.lower(), valid, n=1, cutoff=0.0)[0]
     kind = "method" if others else "baseline"
     raise InputError(
-        f"no {kind} named {method!r}; the nearest is {near!r} (there are: {', '.join(valid)})"
+        f"no {kind} named {method!r}; the nearest is {nearest(method, valid)!r} "
+        f"(there are: {', '.join(valid)})"
     )
 
 

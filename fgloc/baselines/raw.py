@@ -5,14 +5,13 @@ the covariance that the receiver states. Between fixes the evaluation interpolat
 curve where the receiver gives velocities, by a straight line where it does not.
 """
 
-import difflib
 from dataclasses import asdict
 
 import numpy as np
 
 from fgloc.baselines import RAW
 from fgloc.drive import Drive
-from fgloc.errors import DriveError, InputError
+from fgloc.errors import DriveError, InputError, nearest
 from fgloc.measurements import Array, GnssFixes
 from fgloc.result import Result
 from fgloc.trajectory import Trajectory
@@ -56,12 +55,12 @@ def _positions(drive: Drive, source: str) -> GnssFixes:
     able = [name for name, other in drive.tables.items() if isinstance(other, GnssFixes)]
     if not able:
         raise InputError(f"drive {drive.name!r} has no source that tells positions by itself")
-    near = difflib.get_close_matches(source, able, n=1, cutoff=0.0)[0]
     fault = "it has no such source"
     if source in drive.tables:
         fault = f"{source} does not tell positions"
     raise InputError(
-        f"{RAW}{source} on drive {drive.name!r}: {fault}; the nearest is {RAW + near!r} "
+        f"{RAW}{source} on drive {drive.name!r}: {fault}; the nearest is "
+        f"{RAW + nearest(source, able)!r} "
         f"(there are: {', '.join(RAW + name for name in able)})"
     )
 

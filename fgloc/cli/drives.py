@@ -1,13 +1,17 @@
 """Commands about drives: what there is, make one, import one, make one worse."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from fgloc.cli import options
 from fgloc.cli.options import Command, Numbers
 from fgloc.cli.screen import print_json, say, table, working
+from fgloc.errors import InputError
+
+if TYPE_CHECKING:
+    from fgloc.drive import Drive
 
 
 @click.command(cls=Command, epilog="Example: fgloc datasets")
@@ -42,9 +46,10 @@ def datasets(as_json: bool) -> None:
 )
 @options.settings
 @options.out_drive
+@options.as_json
 def make(
     scenario: str, seed: int | None, duration_s: float | None, settings: tuple[str, ...],
-    out: Path, overwrite: bool,
+    out: Path, overwrite: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Write a simulated drive.
 
@@ -53,13 +58,16 @@ def make(
     """
     from fgloc import api
 
-    options.check_settings(settings, duration_s=duration_s, seed=seed)
+    options.check_settings(settings, duration_s=duration_s)
     chosen = options.parse_settings(settings)
+    if "seed" in chosen:
+        raise InputError("--set seed: a seed comes from --seed alone")
     if duration_s is not None:
         chosen["duration_s"] = duration_s
     with working(f"making {scenario}"):
         drive = api.make(scenario, seed=seed or 0, **chosen)
         _write(drive, out, overwrite)
+    _tell(drive, out, as_json)
 
 
 @click.command(
@@ -69,9 +77,11 @@ def make(
 @click.argument("source", metavar="SOURCE")
 @options.settings
 @options.out_drive
+@options.as_json
 def import_drive(
-    format_: str, source: str, settings: tuple[str, ...], out: Path, overwrite: bool
-) -> None:
+    format_: str, source: str, settings: tuple[str, ...], out: Path, overwrite: bool,
+    as_json: bool,
+) -> None:  # fmt: skip
     """Turn a recording into a drive folder.
 
     fgloc datasets lists the formats.
@@ -81,7 +91,9 @@ def import_drive(
     options.check_settings(settings)
     chosen = options.parse_settings(settings)
     with working(f"importing {source}"):
-        _write(import_recording(format_, source, **chosen), out, overwrite)
+        drive = import_recording(format_, source, **chosen)
+        _write(drive, out, overwrite)
+    _tell(drive, out, as_json)
 
 
 @click.command(
@@ -105,9 +117,11 @@ def import_drive(
     help="Seed of the noise, and of a scenario given by name.",
 )  # fmt: skip
 @options.out_drive
+@options.as_json
 def degrade(
     drive: str, source: str, keep_every: int | None, outage: tuple[float, float, float] | None,
     noise: tuple[float, float, float] | None, seed: int | None, out: Path, overwrite: bool,
+    as_json: bool,
 ) -> None:  # fmt: skip
     """Take GNSS away, or make it worse.
 
@@ -126,15 +140,26 @@ def degrade(
             keep_every=keep_every, outage=outage, noise_enu_m=noise, seed=seed or 0,
         )  # fmt: skip
         _write(worse, out, overwrite)
+    _tell(worse, out, as_json)
 
 
-def _write(drive: Any, folder: Path, overwrite: bool) -> None:
-    """Write a drive and say what is in it."""
+def _write(drive: "Drive", folder: Path, overwrite: bool) -> None:
     from fgloc.datasets.drive_folder import write_drive
 
     write_drive(drive, folder, overwrite=overwrite)
-    rows = {name: len(rows) for name, rows in drive.tables.items()}
+
+
+def _tell(drive: "Drive", folder: Path, as_json: bool) -> None:
+    """Say what was written and where."""
+    rows = {name: len(table) for name, table in drive.tables.items()}
     truth = 0 if drive.truth is None else len(drive.truth)
+    duration_s = (drive.end_ns - drive.start_ns) / 1e9
+    if as_json:
+        print_json({
+            "drive": drive.name, "folder": str(folder), "duration_s": duration_s, "rows": rows,
+            "truth_rows": truth,
+        })  # fmt: skip
+        return
     counts = ", ".join(f"{n:,} {name}" for name, n in {**rows, "truth": truth}.items())
-    say(f"{drive.name}: {(drive.end_ns - drive.start_ns) / 1e9:g} s; rows: {counts}")
+    say(f"{drive.name}: {duration_s:g} s; rows: {counts}")
     say(f"Drive written to {folder}")

@@ -86,16 +86,10 @@ def check_settings(settings: tuple[str, ...], **given: Any) -> None:
 
 def parse_settings(settings: tuple[str, ...]) -> dict[str, Any]:
     """Settings as keyword arguments: numbers and truth values as such, all else as text."""
-    import tomllib
+    from fgloc.config import parse_value
 
-    values: dict[str, Any] = {}
-    for setting in settings:
-        key, _, text = (part.strip() for part in setting.partition("="))
-        try:
-            values[key] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            values[key] = text
-    return values
+    pairs = (setting.partition("=") for setting in settings)
+    return {key.strip(): parse_value(text.strip()) for key, _, text in pairs}
 
 
 def with_options(*options: Callable[[F], F]) -> Callable[[F], F]:

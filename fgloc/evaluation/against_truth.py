@@ -29,8 +29,7 @@ class Errors:
 
     t_ns             (N,)
     p_world_m        (N, 3) of position, ENU m
-    heading_rad      (N,) the truth's direction by which errors are split, rad from East
-    longitudinal_m   (N,) along that direction, positive ahead
+    longitudinal_m   (N,) along the truth's heading, positive ahead
     lateral_m        (N,) across it, positive to the left
     yaw_rad          (N,) in [-pi, pi)
     rotvec_rad       (N, 3) world-side rotation vector: R_estimate = Exp(rotvec) R_truth
@@ -48,7 +47,6 @@ class Errors:
 
     t_ns: Instants
     p_world_m: Array
-    heading_rad: Array
     longitudinal_m: Array
     lateral_m: Array
     yaw_rad: Array
@@ -119,7 +117,6 @@ def errors(
     return Errors(
         t_ns=truth_kept.t_ns,
         p_world_m=p_error,
-        heading_rad=heading,
         longitudinal_m=(along * p_error[:, :2]).sum(-1),
         lateral_m=(across * p_error[:, :2]).sum(-1),
         yaw_rad=yaw,

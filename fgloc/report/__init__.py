@@ -58,7 +58,7 @@ def write_report(
     """
     page = render(scene(drive, result, errors), scores)
     try:
-        Path(path).write_text(page, encoding="utf-8")
+        Path(path).write_text(page, encoding="utf-8", newline="\n")
     except OSError as err:
         raise InputError(f"{path}: the report cannot be written: {err.strerror}") from err
 
@@ -74,6 +74,8 @@ def render(of: Scene, scores: Mapping[str, Metric] | None) -> str:
     )  # fmt: skip
     environment.filters["tie"] = _tie
     order, counts = tables.count_rows(of)
+    config = dict(of.result.config)
+    versions = config.pop("versions", {})
     return environment.get_template("report.html.j2").render(
         drive=of.drive, result=of.result, facts=_facts(of), tiles=tables.tiles(of, scores),
         figures=list(_figures(of)), metrics=tables.metric_rows(scores or {}),
@@ -81,7 +83,7 @@ def render(of: Scene, scores: Mapping[str, Metric] | None) -> str:
         verdicts=order, counts=counts, outages=tables.outage_rows(of),
         outage_count=len(of.outages_s), events=tables.event_rows(of),
         event_count=len(of.result.events), max_rows=tables.MAX_ROWS,
-        config=list(tables.flat_config(of.result.config)), versions=tables.versions(),
+        config=list(tables.flat_config(config)), versions=versions.items(),
         plotlyjs=get_plotlyjs(),
     )  # fmt: skip
 

@@ -1,8 +1,6 @@
 """Numbers as a reader meets them: names, units, intervals, and rows of the report's tables."""
 
-import importlib.metadata
 import math
-import platform
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -49,7 +47,6 @@ _TILES = (
     ("anees", "ANEES (1 is consistent)"),
     ("coverage95", "truth inside 95 % ellipsoid"),
 )
-_PACKAGES = ("fgloc", "gtsam", "numpy", "scipy", "plotly")
 MAX_ROWS = 200
 
 
@@ -197,14 +194,3 @@ def flat_config(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
             yield from flat_config(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", "not set" if value is None else str(value)
-
-
-def versions() -> list[tuple[str, str]]:
-    """Versions of Python and of the packages that made the numbers."""
-    found = [("Python", platform.python_version())]
-    for name in _PACKAGES:
-        try:
-            found.append((name, importlib.metadata.version(name)))
-        except importlib.metadata.PackageNotFoundError:
-            found.append((name, "not installed"))
-    return found

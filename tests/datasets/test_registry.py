@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fgloc import api
 from fgloc.datasets import available, import_recording, make, open_drive
 from fgloc.datasets.city import make_city
 from fgloc.datasets.drive_folder import write_drive
@@ -73,6 +74,20 @@ def test_unknown_names_bring_the_nearest_one():
         make("city", 1, duration=5)
     with pytest.raises(InputError, match="option duration_s = 'long' is not a number"):
         make("city", 1, duration_s="long")
+
+
+@pytest.mark.parametrize("name", ["name", "scenario", "name_or_path", "drive", "function"])
+def test_names_of_parameters_are_no_options_of_a_scenario(name):
+    says = rf"scenario 'city' has no option '{name}'; .* \(there are: duration_s\)"
+    for call in (make, open_drive, api.make, api.load):
+        with pytest.raises(InputError, match=says):
+            call("city", **{name: 1})
+
+
+@pytest.mark.parametrize("name", ["format", "source"])
+def test_names_of_parameters_are_no_options_of_a_format(name):
+    with pytest.raises(InputError, match=rf"no option '{name}'; .* \(there are: gps_week, start_s"):
+        import_recording("mems-rtk", ".", **{name: 1})
 
 
 def test_a_path_that_is_not_there_is_told_as_a_path():

@@ -134,8 +134,13 @@ def test_tum_comments_are_passed_over(tmp_path):
         (
             "t.tum",
             TUM + "2.0 0 0 0 0 0 0 1\n",
-            "t.tum:3: seconds = 2.000000000 does not increase; "
-            "lines must be in time order without repeats",
+            "t.tum:3: seconds = 2.000000000 goes back by 1 ns; "
+            "rows must be in time order: sort them",
+        ),
+        (
+            "t.tum",
+            "# c\n" + TUM + "2.000000001 0 0 0 0 0 0 1\n",
+            "t.tum:4: seconds = 2.000000001 occurs twice; remove one of the two rows",
         ),
         (
             "t.tum",

@@ -60,15 +60,33 @@ def _turned(drive, yaw_rad) -> Drive:
     )
 
 
+def _sensed(motion, name: str, seed: int) -> Drive:
+    """A motion at 100 Hz as the car of `city` senses it."""
+    rig = city_rig()
+    gnss = simulate_gnss(motion.every(10), rig, GNSS_SIGMA_ENU_M, stream(seed, "gnss"))
+    imu = simulate_imu(motion, rig, ORIGIN.gravity_mps2(), stream(seed, "imu"))
+    return Drive(name, ORIGIN, rig, {"gnss": gnss, "imu": imu}, truth_of(motion.every(5)))
+
+
 def _standing(duration_s: float, seed: int = 0) -> Drive:
     """A car that never moves, its heading 1 rad."""
     motion = city_motion(seed, duration_s)
     still = {name: np.zeros_like(a) for name, a in vars(motion).items() if name != "t_ns"}
     still["R_world_veh"] = np.tile(frames.yaw_matrix(1.0), (len(motion), 1, 1))
-    motion, rig = dataclasses.replace(motion, **still), city_rig()
-    gnss = simulate_gnss(motion.every(10), rig, GNSS_SIGMA_ENU_M, stream(seed, "gnss"))
-    imu = simulate_imu(motion, rig, ORIGIN.gravity_mps2(), stream(seed, "imu"))
-    return Drive("standing", ORIGIN, rig, {"gnss": gnss, "imu": imu}, truth_of(motion.every(5)))
+    return _sensed(dataclasses.replace(motion, **still), "standing", seed)
+
+
+def _reversing(back_s: float, ahead_s: float, seed: int = 0) -> Drive:
+    """A car that first drives in reverse, stands, and then drives the same way ahead."""
+    ahead = city_motion(seed, ahead_s)
+    sign = {"v_world_mps": -1, "w_veh_radps": -1}
+    n = round(back_s * 100)
+    columns = {
+        name: np.concatenate([sign.get(name, 1) * column[n:0:-1], column])
+        for name, column in vars(ahead).items()
+    }
+    columns["t_ns"] = START_NS + np.arange(len(columns["t_ns"])) * 10_000_000
+    return _sensed(dataclasses.replace(ahead, **columns), "reversing", seed)
 
 
 def _with_fixes(drive, **columns) -> Drive:
@@ -121,6 +139,6 @@ def apart():
 def altered():
     """Ways to make another drive of one: turned, standing, with_fixes, without_imu, ..."""
     return SimpleNamespace(
-        turned=_turned, standing=_standing, with_fixes=_with_fixes, without_imu=_without_imu,
-        without_fixes=_without_fixes, start_ns=START_NS,
+        turned=_turned, standing=_standing, reversing=_reversing, with_fixes=_with_fixes,
+        without_imu=_without_imu, without_fixes=_without_fixes,
     )  # fmt: skip

@@ -88,7 +88,7 @@ def test_outliers_are_gated_or_weighed_down_and_told(spoilt, run, mode):
     assert not verdicts.is_(Verdict.GATED)[honest].any()
 
 
-def test_a_gate_that_has_been_shut_for_long_opens(clean, altered, run, rmse_m):
+def test_a_gate_that_has_been_shut_for_long_opens(clean, altered, run):
     p = clean.gnss.p_world_ant_m.copy()
     p[300:] += [40.0, 0.0, 0.0]  # as after a change of the receiver's reference
     result = run(altered.with_fixes(clean, p_world_ant_m=p), "fixed-lag")
@@ -99,7 +99,7 @@ def test_a_gate_that_has_been_shut_for_long_opens(clean, altered, run, rmse_m):
     assert set(verdicts.verdict[302:349]) == {Verdict.GATED}
     assert not verdicts.is_(Verdict.GATED)[-50:].any()
     error = result.trajectory.p_world_m[-1] - clean.truth.p_world_m[-1]
-    np.testing.assert_allclose(error, [40, 0, 0], atol=2.5)
+    np.testing.assert_allclose(error[:2], [40, 0], atol=2.5)
 
 
 # Gaps of the IMU
@@ -134,6 +134,17 @@ def test_the_yaw_is_the_vehicles_where_it_drives_in_reverse_or_sideways(
     city, altered, run, against_truth, mode, turn_rad
 ):
     drive = altered.turned(city(0, 40.0), turn_rad)
+    scored = against_truth(run(drive, mode).trajectory, drive, from_s=20.0)
+    assert np.rad2deg(np.abs(scored.yaw_rad)).max() < 12.0
+    assert scored.nees_pose.mean() < 20
+
+
+@pytest.mark.parametrize("mode", ["batch", "fixed-lag"])
+@pytest.mark.parametrize("ahead_s", [20.0, 100.0])
+def test_a_drive_that_begins_in_reverse_is_told_from_one_ahead(
+    altered, run, against_truth, mode, ahead_s
+):
+    drive = altered.reversing(20.0, ahead_s)
     scored = against_truth(run(drive, mode).trajectory, drive, from_s=20.0)
     assert np.rad2deg(np.abs(scored.yaw_rad)).max() < 12.0
     assert scored.nees_pose.mean() < 20
