@@ -120,7 +120,7 @@ def geodetic_to_utm(lat_deg: ArrayLike, lon_deg: ArrayLike, zone: int) -> Array:
     phase, growth = xi[..., None] * j, eta[..., None] * j
     east = eta + (alpha * np.cos(phase) * np.sinh(growth)).sum(-1)
     north = xi + (alpha * np.sin(phase) * np.cosh(growth)).sum(-1)
-    false_north = np.where(lat < 0, 1e7, 0.0)
+    false_north = np.where(np.asarray(lat_deg) < 0, 1e7, 0.0)  # in rad, -5e-324 deg is -0
     return np.stack([500_000 + 0.9996 * radius_m * east,
                      false_north + 0.9996 * radius_m * north], axis=-1)  # fmt: skip
 

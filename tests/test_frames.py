@@ -3,7 +3,7 @@
 import numpy as np
 import pymap3d
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -45,6 +45,7 @@ def test_utm_agrees_with_proj_to_a_tenth_of_a_millimetre(
 
 
 @given(st.floats(-80, 84), st.floats(-3, 3), st.integers(1, 60))
+@example(-5e-324, 0.0, 1)
 def test_utm_and_back_is_the_same_place(lat_deg, from_centre_deg, zone):
     lon_deg = 6 * zone - 183 + from_centre_deg
     utm = frames.geodetic_to_utm(lat_deg, lon_deg, zone)
