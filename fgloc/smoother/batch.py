@@ -27,6 +27,8 @@ from fgloc.smoother.tree import as_graph
 from fgloc.verdicts import Verdict
 
 Joint = Callable[[list[int]], Array]
+States = tuple[Array, Array, Array]
+"""Attitudes, positions and velocities of all keyframes."""
 
 MAX_ROUNDS = 5
 """Gating is repeated until no verdict changes, at most this often."""
@@ -63,7 +65,8 @@ def run_batch(model: Model) -> BatchRun:
     for rounds in range(1, MAX_ROUNDS + 1):
         joint = covariances(graph, values, model)
         cov = np.stack([joint([X(j)]) for j in range(len(model))])
-        nis, weight = _leave_one_out(model, values, joint, cov, with_fix, gated)
+        states = _arrays(model, values)
+        nis, weight = _leave_one_out(model, values, states, joint, cov, with_fix, gated)
         beyond = nis > model.gate_nis
         if np.array_equal(beyond, gated) or rounds == MAX_ROUNDS:
             break
@@ -72,7 +75,7 @@ def run_batch(model: Model) -> BatchRun:
         values, count = optimize(graph, values, model)
         iterations += count
     _judge(model, with_fix, gated, nis, weight)
-    log = _log(model, values, cov, intervals)
+    log = _log(model, values, states, cov, intervals)
     first = model.epoch_of[0]
     return BatchRun(
         log, graph.size(), iterations, graph.error(values),
@@ -109,7 +112,7 @@ def _graph(
 
 
 def _leave_one_out(
-    model: Model, values: gtsam.Values, joint: Joint, cov: Array,
+    model: Model, values: gtsam.Values, states: States, joint: Joint, cov: Array,
     keys: NDArray[np.int64], gated: NDArray[np.bool_],
 ) -> tuple[Array, Array]:  # fmt: skip
     """NIS (n,) of every fix against all others, and its weight (n,) under the robust loss.
@@ -120,7 +123,7 @@ def _leave_one_out(
     """
     rows = model.fix_of[keys]
     R_fix = model.cov_world_m2[rows]
-    error, P = _fix_residuals(model, values, joint, cov, keys)
+    error, P = _fix_residuals(model, values, states, joint, cov, keys)
     c = model.config.gnss
     whitened = np.sqrt(noise.nis(error, R_fix))
     loss = "none" if model.has_gnss_bias else c.loss
@@ -139,11 +142,11 @@ def _leave_one_out(
 
 
 def _fix_residuals(
-    model: Model, values: gtsam.Values, joint: Joint, cov: Array,
+    model: Model, values: gtsam.Values, states: States, joint: Joint, cov: Array,
     keys: NDArray[np.int64],
 ) -> tuple[Array, Array]:  # fmt: skip
     """Predicted minus measured antenna position (n, 3) and the prediction's covariance."""
-    R, p, _ = _arrays(model, values)
+    R, p, _ = states
     z = model.fixes.p_world_ant_m[model.fix_of[keys]]
     told = gnss.residual(p[keys], R[keys], z, model.lever)
     if not model.has_gnss_bias:
@@ -166,7 +169,7 @@ def _judge(
     verdicts.set(rows[gated], Verdict.GATED, "does not fit all other measurements")
 
 
-def _arrays(model: Model, values: gtsam.Values) -> tuple[Array, Array, Array]:
+def _arrays(model: Model, values: gtsam.Values) -> States:
     """Attitudes (n, 3, 3), positions (n, 3) and velocities (n, 3) of all keyframes."""
     poses = [values.atPose3(X(j)) for j in range(len(model))]
     return (
@@ -177,10 +180,11 @@ def _arrays(model: Model, values: gtsam.Values) -> tuple[Array, Array, Array]:
 
 
 def _log(
-    model: Model, values: gtsam.Values, cov: Array, intervals: list[Interval | None]
-) -> StateLog:
+    model: Model, values: gtsam.Values, states: States, cov: Array,
+    intervals: list[Interval | None],
+) -> StateLog:  # fmt: skip
     """Keyframes as solved and the output epochs between them."""
-    R, p, v = _arrays(model, values)
+    R, p, v = states
     bias = np.stack([values.atConstantBias(B(m)).vector() for m in model.bias_of])
     log = StateLog(len(model.epochs))
     at = model.epoch_of

@@ -8,7 +8,6 @@ Until the fixes show a course the yaw is unknown and nothing is gated; then the 
 more from the right heading. A solver that fails is replaced by one grown anew over its window.
 """
 
-import time
 from bisect import insort
 from collections.abc import Sequence
 
@@ -60,7 +59,6 @@ class Online:
         self.last = StateLog(len(model.epochs)) if model.config.smoothed else None
         self.bias = np.zeros((len(model), 6))
         self.events: list[Event] = []
-        self.update_s: list[float] = []
         self.yaw_observable_ns: int | None = None
         self._turn_rad = gyro_yaw(model)
         self._aligned = False
@@ -195,7 +193,6 @@ class Online:
         """One update of the tree and the newest state read from it; a failed tree is replaced."""
         now = float(self.model.t_s[j])
         stamps: Stamps = dict.fromkeys((*values.keys(), *self._alive(j)), now)
-        began = time.perf_counter()
         try:
             self._tree.update(factors, values, stamps)
             for _ in range(extra):
@@ -203,7 +200,6 @@ class Online:
             self._read(j)
         except RuntimeError as err:
             self._recover(j, err)
-        self.update_s.append(time.perf_counter() - began)
 
     def _recover(self, j: int, err: Exception) -> None:
         """Grow a new tree, by QR, over the window that the failed one held."""
