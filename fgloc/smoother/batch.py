@@ -53,15 +53,17 @@ def run_batch(model: Model) -> BatchRun:
     """
     intervals = [None, *(model.interval(j) for j in range(1, len(model)))]
     start = guess(model, 0, len(model) - 1, gyro_yaw(model))
-    groups = _groups(model, intervals, first_values(model, start, 1))
     with_fix = np.flatnonzero(model.fix_of >= 0)
+    fixed = set(with_fix.tolist())
+    groups = _groups(model, intervals, first_values(model, start, 1, fixed))
     gated = np.zeros(len(with_fix), bool)
     graph = _graph(model, groups, with_fix[gated])
-    values, iterations = optimize(graph, first_values(model, start, len(model)), model)
+    values, iterations = optimize(graph, first_values(model, start, len(model), fixed), model)
     if graph.error(values) > misfit(len(with_fix)):
-        turned = choose_yaw(model, start, groups)
+        turned = choose_yaw(model, start, groups, fixed)
         if turned is not start:
-            values, iterations = optimize(graph, first_values(model, turned, len(model)), model)
+            first = first_values(model, turned, len(model), fixed)
+            values, iterations = optimize(graph, first, model)
     for rounds in range(1, MAX_ROUNDS + 1):
         joint = covariances(graph, values, model)
         cov = np.stack([joint([X(j)]) for j in range(len(model))])
@@ -76,10 +78,10 @@ def run_batch(model: Model) -> BatchRun:
         iterations += count
     _judge(model, with_fix, gated, nis, weight)
     log = _log(model, values, states, cov, intervals)
-    first = model.epoch_of[0]
+    begin = model.epoch_of[0]
     return BatchRun(
         log, graph.size(), iterations, graph.error(values),
-        yaw_sigma_rad(log.R[first], log.cov[first, :3, :3]),
+        yaw_sigma_rad(log.R[begin], log.cov[begin, :3, :3]),
     )  # fmt: skip
 
 

@@ -27,6 +27,7 @@ from fgloc.smoother.solve import (
     first_values,
     optimize,
     singular,
+    window_values,
     yaw_sigma_rad,
 )
 from fgloc.smoother.states import StateLog
@@ -209,13 +210,8 @@ class Online:
         prior = self._first_prior() if first == 0 else self.model.carried_prior_factors(
             first, self._states[first], self._covs[first] * INFLATION
         )  # fmt: skip
-        values = gtsam.Values()
-        self.model.insert_shared(values)
-        for k in range(first, j + 1):
-            new_bias = k == first or bool(self.model.bias_of[k] != self.model.bias_of[k - 1])
-            self.model.insert(values, k, self._states[k], new_bias=new_bias)
-            if k in self._accepted:
-                self.model.insert_fix(values, k, self._states[k].pose)
+        states = [self._states[k] for k in range(first, j + 1)]
+        values = window_values(self.model, first, states, self._accepted)
         try:
             self._regrow(first, j, self._window(first, j, prior), values, "qr")
         except RuntimeError as again:
@@ -239,8 +235,8 @@ class Online:
         pose = gtsam.Pose3(gtsam.Rot3(start.R_world_veh[0]), start.p_world_m[0])
         base = State(pose, start.v_world_mps[0], gtsam.imuBias.ConstantBias())
         groups = self._window(first, j, model.prior_factors(first, base, YAW_SIGMA_RAD))
-        start = choose_yaw(model, start, groups)
-        values = first_values(model, start, j + 1 - first)
+        start = choose_yaw(model, start, groups, self._accepted)
+        values = first_values(model, start, j + 1 - first, self._accepted)
         self._regrow(first, j, groups, values, model.config.solver.factorization)
         self._aligned = True
         self._event(

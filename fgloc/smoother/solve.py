@@ -1,7 +1,7 @@
 """Solving a graph as a whole, and saying in plain words why it cannot be solved."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Sequence
 
 import gtsam
 import numpy as np
@@ -117,11 +117,13 @@ def misfit(fixes: int) -> float:
     return FITS * 3 * fixes / 2
 
 
-def choose_yaw(model: Model, guess: Guess, factors: list[Factors], length: int = 40) -> Guess:
+def choose_yaw(
+    model: Model, guess: Guess, factors: list[Factors], with_fix: Collection[int], length: int = 40
+) -> Guess:
     """The guess turned to the heading that the first moving stretch fits best.
 
-    `factors[k]` are those of keyframe guess.first + k, the first being the prior. Without a course
-    the guess is returned as it is.
+    `factors[k]` are those of keyframe guess.first + k, the prior first, and `with_fix` the
+    keyframes whose fix is among them. Without a course the guess is returned as it is.
     """
     if not guess.yaw_known:
         return guess
@@ -131,7 +133,8 @@ def choose_yaw(model: Model, guess: Guess, factors: list[Factors], length: int =
     slack = misfit(int((model.fix_of[guess.first : guess.first + n] >= 0).sum()))
 
     def cost(turned: Guess) -> float:
-        return float(graph.error(optimize(graph, first_values(model, turned, n), model)[0]))
+        values = first_values(model, turned, n, with_fix)
+        return float(graph.error(optimize(graph, values, model)[0]))
 
     best, least = guess, cost(guess)
     if least <= slack:
@@ -143,18 +146,32 @@ def choose_yaw(model: Model, guess: Guess, factors: list[Factors], length: int =
     return best
 
 
-def first_values(model: Model, guess: Guess, n: int) -> gtsam.Values:
-    """GTSAM values of the first n keyframes of a guess, biases at zero."""
-    values = gtsam.Values()
+def first_values(model: Model, guess: Guess, n: int, with_fix: Collection[int]) -> gtsam.Values:
+    """GTSAM values of the first n keyframes of a guess, biases at zero; see `window_values`."""
     zero = gtsam.imuBias.ConstantBias()
+    poses = (
+        gtsam.Pose3(gtsam.Rot3(R), p)
+        for R, p in zip(guess.R_world_veh[:n], guess.p_world_m[:n], strict=True)
+    )
+    states = [State(pose, v, zero) for pose, v in zip(poses, guess.v_world_mps[:n], strict=True)]
+    return window_values(model, guess.first, states, with_fix)
+
+
+def window_values(
+    model: Model, first: int, states: Sequence[State], with_fix: Collection[int]
+) -> gtsam.Values:
+    """GTSAM values of the keyframes from `first` on, with the variables that their fixes add.
+
+    `with_fix` are the keyframes whose fix is in the graph: a variable without a factor, for a fix
+    that has yet to arrive, would be in the way when it does.
+    """
+    values = gtsam.Values()
     model.insert_shared(values)
-    for k in range(n):
-        j = guess.first + k
-        pose = gtsam.Pose3(gtsam.Rot3(guess.R_world_veh[k]), guess.p_world_m[k])
-        new_bias = k == 0 or model.bias_of[j] != model.bias_of[j - 1]
-        model.insert(values, j, State(pose, guess.v_world_mps[k], zero), new_bias=new_bias)
-        if model.fix_of[j] >= 0:
-            model.insert_fix(values, j, pose)
+    for j, state in enumerate(states, first):
+        new_bias = j == first or bool(model.bias_of[j] != model.bias_of[j - 1])
+        model.insert(values, j, state, new_bias=new_bias)
+        if j in with_fix:
+            model.insert_fix(values, j, state.pose)
     return values
 
 

@@ -9,6 +9,7 @@ from fgloc.config import load_config
 from fgloc.datasets import open_drive
 from fgloc.datasets.degrade import degrade
 from fgloc.errors import SolverError
+from fgloc.smoother import smooth
 from fgloc.smoother.model import Model
 from fgloc.smoother.online import Online
 from fgloc.sync import plan
@@ -219,3 +220,13 @@ def test_a_measurement_beyond_all_bounds_is_refused(city, run, mode):
     drive = drive.with_tables(imu=dataclasses.replace(drive.imu, accel_mps2=accel))
     with pytest.raises(SolverError):
         run(drive, mode)
+
+
+@pytest.mark.parametrize("mode", ["incremental", "fixed-lag"])
+def test_late_fixes_and_a_gnss_bias_go_together(mode):
+    drive = open_drive("city", seed=1, duration_s=20)
+    late = dataclasses.replace(drive.gnss, received_ns=drive.gnss.t_ns + 300_000_000)
+    settings = ["gnss.bias_sigma_m=1"]
+    result = smooth(drive.with_tables(gnss=late), load_config(mode=mode, settings=settings))
+    assert [event.kind for event in result.events] == ["aligned"]
+    assert sum(result.verdicts["gnss"].counts().values()) == len(late)
