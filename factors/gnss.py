@@ -5,14 +5,18 @@ with the fix's covariance and c an optional bias in ENU, a first-order Gauss-Mar
 c(t + dt) = exp(-dt / tau) c(t) + w, w ~ N(0, sigma^2 (1 - exp(-2 dt / tau)) I).
 """
 
-from typing import NamedTuple
+from __future__ import annotations
 
-import gtsam
+from typing import TYPE_CHECKING, NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fgloc.frames import skew
 from fgloc.measurements import Array
+
+if TYPE_CHECKING:
+    import gtsam
 
 ANTENNA_SIGMA_M = 1e-3
 """Slack between pose and antenna variable when a bias is estimated: far below any fix's noise."""
@@ -41,6 +45,8 @@ def position_factor(
     pose_key: int, z_world_m: Array, p_veh_ant_m: Array, model: gtsam.noiseModel.Base
 ) -> gtsam.GPSFactorArm:
     """The native factor of `residual` without a bias."""
+    import gtsam
+
     return gtsam.GPSFactorArm(pose_key, z_world_m, p_veh_ant_m, model)
 
 
@@ -54,6 +60,8 @@ def biased_position_factors(
     through the lever-arm variable, and point + bias = z is linear. `model` must be plain
     (diagonal); a robust loss cannot lie on a linear factor, so outliers are left to the gate.
     """
+    import gtsam
+
     tie = gtsam.ReferenceFrameFactorPoint3Pose3(
         lever_key, pose_key, antenna_key, gtsam.noiseModel.Isotropic.Sigma(3, ANTENNA_SIGMA_M)
     )
@@ -71,6 +79,8 @@ def bias_transition_factor(
     key_i: int, key_j: int, dt_s: float, sigma_m: float, tau_s: float
 ) -> gtsam.LinearContainerFactor:
     """The native factor c_j - phi c_i = w of the Gauss-Markov bias."""
+    import gtsam
+
     phi, sigma = bias_transition(dt_s, sigma_m, tau_s)
     model = gtsam.noiseModel.Isotropic.Sigma(3, sigma)
     row = gtsam.JacobianFactor(key_i, -phi * np.eye(3), key_j, np.eye(3), np.zeros(3), model)
@@ -80,6 +90,8 @@ def bias_transition_factor(
 def _linear(row: gtsam.JacobianFactor, *keys: int) -> gtsam.LinearContainerFactor:
     """A x = b on vector variables. Without a point of linearisation, here zero, GTSAM takes the
     row as one on the *change* of the variables and reports no error."""
+    import gtsam
+
     zero = gtsam.Values()
     for key in keys:
         zero.insert(key, np.zeros(3))

@@ -7,16 +7,20 @@ and the residual is the difference of prediction and state j in the frame of sta
 are a random walk. The Earth's rotation (15 deg/h) is left out: a consumer gyro's bias hides it.
 """
 
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from __future__ import annotations
 
-import gtsam
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fgloc.drive import ImuNoise
 from fgloc.frames import exp_so3, log_so3, right_jacobian_inverse_so3, right_jacobian_so3, skew
 from fgloc.measurements import Array
+
+if TYPE_CHECKING:
+    import gtsam
 
 INTEGRATION_NOISE_M_PER_SQRT_S = 1e-3
 """Position noise of the integration itself. A tenth of it makes the normal equations of 10 Hz
@@ -39,6 +43,10 @@ class ImuDeltas(NamedTuple):
     dt_s: Array
     bias_hat: Array
 
+    def take(self, rows: Any) -> ImuDeltas:
+        """The intervals that a slice, mask or index array selects."""
+        return ImuDeltas(*(column[rows] for column in self))
+
 
 class ImuResidual(NamedTuple):
     """error (N, 9) and its Jacobians: poses by 6, velocities by 3, the bias by 6 columns."""
@@ -55,6 +63,8 @@ def parameters(
     accel_noise: float, gyro_noise: float, gravity_mps2: float
 ) -> gtsam.PreintegrationParams:
     """GTSAM's parameters for densities in m/s^2 and rad/s per sqrt(Hz), gravity along -z."""
+    import gtsam
+
     params = gtsam.PreintegrationParams.MakeSharedU(gravity_mps2)
     params.setAccelerometerCovariance(np.eye(3) * accel_noise**2)
     params.setGyroscopeCovariance(np.eye(3) * gyro_noise**2)
@@ -85,6 +95,8 @@ class Snapshot(NamedTuple):
 
 def snapshot(pim: gtsam.PreintegratedImuMeasurements) -> Snapshot:
     """Copy the sums so far; integration may go on."""
+    import gtsam
+
     end_by_bias = np.zeros((9, 6), order="F")
     unused = np.zeros((9, 9), order="F")
     pim.predict(gtsam.NavState(), pim.biasHat(), unused, end_by_bias)
@@ -106,6 +118,8 @@ def factor(
     keys: tuple[int, int, int, int, int], pim: gtsam.PreintegratedImuMeasurements
 ) -> gtsam.ImuFactor:
     """The native factor of `residual`; keys are pose_i, velocity_i, pose_j, velocity_j, bias."""
+    import gtsam
+
     return gtsam.ImuFactor(*keys, pim)
 
 

@@ -1,18 +1,24 @@
 """Noise models: Gaussian, and the robust losses laid over them."""
 
-from typing import Literal
+from __future__ import annotations
 
-import gtsam
+from typing import TYPE_CHECKING, Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fgloc.measurements import Array
+
+if TYPE_CHECKING:
+    import gtsam
 
 Loss = Literal["none", "huber", "cauchy"]
 
 
 def gaussian(cov: ArrayLike) -> gtsam.noiseModel.Base:
     """GTSAM's model of a covariance (m, m); raises RuntimeError where it is not positive."""
+    import gtsam
+
     matrix = np.asarray(cov, float)
     variance = np.diagonal(matrix)
     if np.array_equal(matrix, np.diag(variance)):
@@ -24,6 +30,8 @@ def robust(model: gtsam.noiseModel.Base, loss: Loss, width: float) -> gtsam.nois
     """The model with a loss on the norm of the whitened error; `width` in standard deviations."""
     if loss == "none":
         return model
+    import gtsam
+
     estimators = gtsam.noiseModel.mEstimator
     create = {"huber": estimators.Huber.Create, "cauchy": estimators.Cauchy.Create}[loss]
     return gtsam.noiseModel.Robust.Create(create(width), model)
@@ -36,6 +44,27 @@ def weight(norm: ArrayLike, loss: Loss, width: float) -> Array:
         return width / np.maximum(size, width)
     if loss == "cauchy":
         return 1 / (1 + (size / width) ** 2)
+    return np.ones_like(size)
+
+
+def cost(norm: ArrayLike, loss: Loss, width: float) -> Array:
+    """What a loss charges for whitened errors of the given norms (...); half the square if none."""
+    size = np.asarray(norm, float)
+    if loss == "huber":
+        return np.where(size <= width, size**2 / 2, width * (size - width / 2))
+    if loss == "cauchy":
+        return width**2 / 2 * np.log1p((size / width) ** 2)
+    return size**2 / 2
+
+
+def curvature(norm: ArrayLike, loss: Loss, width: float) -> Array:
+    """Second derivative (...) of `cost` by the norm: 1 where there is no loss."""
+    size = np.asarray(norm, float)
+    if loss == "huber":
+        return (size <= width).astype(float)
+    if loss == "cauchy":
+        square = (size / width) ** 2
+        return (1 - square) / (1 + square) ** 2
     return np.ones_like(size)
 
 

@@ -67,6 +67,8 @@ class ImuConfig(Section):
 class SolverConfig(Section):
     """Settings of the solvers."""
 
+    batch: Literal["banded", "gtsam"] = "banded"
+    """Who solves a batch: our chain with a banded Cholesky, or GTSAM, to the same optimum."""
     factorization: Literal["cholesky", "qr"] = "qr"
     """Of iSAM2. Cholesky is a third faster, but GTSAM gives up where pivots differ by more than
     2^12, as a good gyro beside a GPS of metres makes them; the window is then solved anew by QR."""

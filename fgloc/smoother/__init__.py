@@ -10,9 +10,8 @@ from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
 from fgloc.result import Event, Result
 from fgloc.smoother.batch import run_batch
-from fgloc.smoother.model import Model
-from fgloc.smoother.online import OBSERVED_YAW_RAD, Online
-from fgloc.sync import plan
+from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
+from fgloc.sync import Plan, plan
 from fgloc.verdicts import counts
 
 METHODS = {
@@ -28,15 +27,18 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
     be solved.
     """
     began = time.perf_counter()
-    model = Model(drive, plan(drive, config), config)
-    result = _batch(model) if config.mode == "batch" else _online(model)
+    planned = plan(drive, config)
+    run = _batch if config.mode == "batch" else _online
+    result = run(drive, planned, config)
     wall_s = time.perf_counter() - began
-    duration_s = float(model.t_s[-1])
+    keyframes = planned.epochs.t_ns[planned.epochs.keyframes]
+    duration_s = float(keyframes[-1] - keyframes[0]) / 1e9
     result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s, duration_s=duration_s)
     return result
 
 
-def _batch(model: Model) -> Result:
+def _batch(drive: Drive, planned: Plan, config: SmoothConfig) -> Result:
+    model = Model(drive, planned, config)
     run = run_batch(model)
     summary = _summary(model, run.factors) | {"iterations": run.iterations, "cost": run.cost}
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
@@ -47,8 +49,11 @@ def _batch(model: Model) -> Result:
     )  # fmt: skip
 
 
-def _online(model: Model) -> Result:
-    config = model.config
+def _online(drive: Drive, planned: Plan, config: SmoothConfig) -> Result:
+    from fgloc.smoother.graph import GraphModel
+    from fgloc.smoother.online import Online
+
+    model = GraphModel(drive, planned, config)
     lag_s = config.lag_s if config.mode == "fixed-lag" else None
     online = Online(model, lag_s)
     online.run()

@@ -9,42 +9,32 @@ keyframes' own uncertainty adds, for which the two are mixed linearly; as a conv
 claims more than the keyframes do.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.factors import imu
 from fgloc.frames import exp_so3, log_so3
 from fgloc.measurements import Array
-from fgloc.smoother.model import Interval, Model
+from fgloc.smoother.model import Model
 from fgloc.smoother.states import StateLog
 
 
-def fill(log: StateLog, model: Model, intervals: Sequence[Interval | None], bias: Array) -> None:
+def fill(
+    log: StateLog, model: Model, bias: Array, whole: imu.ImuDeltas, part: imu.ImuDeltas
+) -> None:
     """Write all inner epochs of a log whose keyframes are written.
 
-    `intervals[j]` leads to keyframe j (None: nothing to fill); bias (n, 6) is each keyframe's.
+    bias (n, 6) is each keyframe's; `whole` and `part` are `model.deltas()`.
     """
-    at = model.epoch_of
-    held = [(j, interval) for j, interval in enumerate(intervals) if interval and interval.inner]
-    if not held:
+    inner = np.flatnonzero(~model.epochs.is_keyframe)
+    if not len(inner):
         return
-    part = imu.table([snapshot for _, interval in held for snapshot in interval.inner])
-    whole = imu.table([imu.snapshot(interval.pim) for _, interval in held])
-    count = [len(interval.inner) for _, interval in held]
-    which = np.repeat(np.arange(len(held)), count)
-    left = np.array([j - 1 for j, _ in held])[which]
-    epochs = np.concatenate(
-        [at[j - 1] + 1 + np.arange(n) for (j, _), n in zip(held, count, strict=True)]
-    )
-    whole = imu.ImuDeltas(*(column[which] for column in whole))
-    fill_between(
-        log, epochs, at[left], at[left + 1], part, whole, bias[left], model.gravity_mps2
-    )  # fmt: skip
+    at = model.epoch_of
+    j = np.searchsorted(at, inner) - 1
+    _fill_between(log, inner, at[j], at[j + 1], part, whole.take(j), bias[j], model.gravity_mps2)
 
 
-def fill_between(
+def _fill_between(
     log: StateLog, epochs: NDArray[np.int64], left: NDArray[np.int64], right: NDArray[np.int64],
     part: imu.ImuDeltas, whole: imu.ImuDeltas, bias: Array, gravity_mps2: float,
 ) -> None:  # fmt: skip

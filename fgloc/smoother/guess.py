@@ -5,6 +5,7 @@ for heading where the vehicle moves, so that a drive that starts in reverse, or 
 askew, is told apart afterwards by `choose_yaw`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,15 @@ SPEED_SIGMAS = 8.0
 BIN_S = 5.0
 KERNEL_S = 15.0
 """The gyro's yaw is held to the course over about this time."""
+TURNS_RAD = (np.pi, np.pi / 2, -np.pi / 2)
+"""Headings tried where the course itself does not fit: reverse, and an IMU mounted across."""
+FITS = 5.0
+"""The course fits where twice the cost is at most this for each dimension of the fixes."""
+BETTER = 0.5
+"""Another heading must come down to this share of the cost: ties are broken by rounding otherwise,
+and a wrong heading that biases make up for in a short while costs far more in a longer one."""
+STRETCH = 400
+"""Keyframes of the moving stretch that headings are tried on."""
 
 
 @dataclass(frozen=True)
@@ -61,6 +71,35 @@ def guess(model: Model, first: int, last: int, turn_rad: Array) -> Guess:
     R = frames.yaw_matrix(yaw)
     p = _interpolate(at, t, z) - R @ model.lever
     return Guess(first, R, p, _interpolate(at, t, v), bool(good.any()))
+
+
+def misfit(fixes: int) -> float:
+    """The cost above which a solution of so many fixes does not fit; see `FITS`."""
+    return FITS * 3 * fixes / 2
+
+
+def stretch(guess: Guess) -> int:
+    """How many keyframes of a guess it takes to try headings: up to the first moving ones."""
+    speed = np.linalg.norm(guess.v_world_mps[:, :2], axis=1)
+    return min(len(speed), int(np.argmax(speed > 0.5 * speed.max())) + STRETCH)
+
+
+def choose_yaw(guess: Guess, fixes: int, cost: Callable[[Guess], float]) -> Guess:
+    """The guess turned to the heading that the first moving stretch fits best.
+
+    `cost` gives the least cost of that stretch from a guess, and `fixes` how many are in it.
+    Without a course the guess is returned as it is.
+    """
+    if not guess.yaw_known:
+        return guess
+    best, least = guess, cost(guess)
+    if least <= misfit(fixes):
+        return guess
+    for turn in TURNS_RAD:
+        turned = guess.turned(turn)
+        if (other := cost(turned)) < BETTER * least:
+            best, least = turned, other
+    return best
 
 
 def gyro_yaw(model: Model) -> Array:

@@ -1,32 +1,26 @@
-"""The graph of a drive: which variables there are, and the native factors between them.
+"""What is to be estimated of a drive, and what is known of it: the numbers behind every solver.
 
-Batch, incremental and fixed lag all build their graphs here. Keyframe j has a pose X(j) and a
-velocity V(j), of the IMU's place along the vehicle's axes: GTSAM's own way with a lever arm to the
-IMU leaves out the tangential acceleration, which is 0.1 m/s^2 where a bend begins. Biases B(m) are
-shared by the keyframes of `bias_interval_s`; with a GNSS bias each fix adds an antenna point A(j)
-and a bias C(j), and L(0) is the lever arm.
+Keyframe j has a pose and a velocity, of the IMU's place along the vehicle's axes: GTSAM's own way
+with a lever arm to the IMU leaves out the tangential acceleration, which is 0.1 m/s^2 where a bend
+begins. A bias of the IMU is shared by the keyframes of `bias_interval_s`. A GNSS bias, if there is
+one, belongs to each fix.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
-import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, L, V, X
+from numpy.typing import NDArray
 
 from fgloc.chi_square import chi2_quantile
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive, ImuNoise
 from fgloc.errors import DriveError
-from fgloc.factors import gnss, imu, noise
+from fgloc.factors import gnss, imu
+from fgloc.factors.preintegration import preintegrate
 from fgloc.frames import skew
 from fgloc.measurements import Array
-from fgloc.smoother.tree import Thresholds
 from fgloc.sync import Plan
 from fgloc.timing import elapsed_s
-
-Factors = list[gtsam.NonlinearFactor]
 
 LEVEL_SIGMA_RAD = 0.2
 """A road vehicle is level to this at the start."""
@@ -36,28 +30,8 @@ POSITION_SIGMA_M = 100.0
 """Around the first fix."""
 SPEED_SIGMA_MPS = 30.0
 """Around standstill."""
-LEVER_SIGMA_M = 1e-4
-
-
-@dataclass(frozen=True)
-class State:
-    """One keyframe's values: pose, velocity in m/s (3,), IMU bias."""
-
-    pose: gtsam.Pose3
-    velocity: Array
-    bias: gtsam.imuBias.ConstantBias
-
-    def nav(self) -> gtsam.NavState:
-        """Pose and velocity as GTSAM's navigation state."""
-        return gtsam.NavState(self.pose, self.velocity)
-
-
-@dataclass(frozen=True)
-class Interval:
-    """IMU between keyframes j - 1 and j: the native sums at the end and at output epochs before."""
-
-    pim: gtsam.PreintegratedImuMeasurements
-    inner: tuple[imu.Snapshot, ...]
+OBSERVED_YAW_RAD = 0.1
+"""The yaw counts as observable once its sigma is below this."""
 
 
 class Model:
@@ -78,7 +52,6 @@ class Model:
         self.gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
         self.has_gnss_bias = config.gnss.bias_sigma_m > 0
-        self._fix_noises: dict[bytes, Any] = {}
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -89,140 +62,58 @@ class Model:
         return self.fixes.cov_world_m2 * self.config.gnss.sigma_scale**2
 
     @cached_property
+    def first_fix_m(self) -> Array:
+        """The antenna's position (3,) by the first usable fix."""
+        return self.fixes.p_world_ant_m[self.fix_of[self.fix_of >= 0][0]]
+
+    @cached_property
+    def bias_sigmas(self) -> Array:
+        """How far the IMU's biases (6,) may be from zero at the start: m/s^2, then rad/s."""
+        n = self.noise
+        return np.array([n.accel_bias_sigma_mps2] * 3 + [n.gyro_bias_sigma_radps] * 3)
+
+    def cov_of_fixes(self, keys: NDArray[np.int64]) -> Array:
+        """(n, 3, 3) covariance with which the fixes at some keyframes enter the graph.
+
+        With a GNSS bias it is what GTSAM is given: the axes alone, and the slack of the tie
+        between pose and antenna.
+        """
+        cov = self.cov_world_m2[self.fix_of[keys]]
+        return cov * np.eye(3) + gnss.ANTENNA_SIGMA_M**2 * np.eye(3) if self.has_gnss_bias else cov
+
+    def deltas(self) -> tuple[imu.ImuDeltas, imu.ImuDeltas]:
+        """The IMU from each keyframe to the next, and to each output epoch before that one.
+
+        Preintegrated at zero bias, in the order of the epochs. Intervals with equally many output
+        epochs are taken together.
+        """
+        e, at = self.epochs, self.epoch_of
+        inner = np.diff(at) - 1
+        n = len(e) - 1
+        out = imu.ImuDeltas(*(np.zeros((n, *shape)) for shape in ((9,), (9, 6), (9, 9), (), (6,))))
+        for count in np.unique(inner):
+            left, right = at[:-1][inner == count], at[1:][inner == count]
+            epochs = left + np.arange(1, count + 2)[:, None]
+            told = preintegrate(
+                e.accel_mps2, e.gyro_radps, e.dt_s, e.first_sample[left + 1],
+                e.first_sample[epochs + 1], *self._densities(right),
+            )  # fmt: skip
+            for column, values in zip(out, told, strict=True):
+                column[epochs - 1] = values
+        is_keyframe = e.is_keyframe[1:]
+        return out.take(is_keyframe), out.take(~is_keyframe)
+
+    def _densities(self, epochs: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Noise of accelerometer and gyro (n,) on the way to some epochs, in a gap or not."""
+        n, c, gap = self.noise, self.config.imu, self.epochs.in_gap[epochs]
+        return (np.where(gap, c.gap_accel_mps2, n.accel_noise_mps2_per_sqrt_hz),
+                np.where(gap, c.gap_gyro_radps, n.gyro_noise_radps_per_sqrt_hz))  # fmt: skip
+
+    @cached_property
     def gate_nis(self) -> float:
         """NIS of a three-dimensional fix above which it is gated."""
         c = self.config.gnss
         return chi2_quantile(c.gate_probability, 3) * c.gate_slack**2
-
-    @cached_property
-    def thresholds(self) -> Thresholds:
-        """By how much a pose may turn and move before iSAM2 relinearises it; see `SolverConfig`."""
-        c = self.config.solver
-        variance = self.cov_world_m2[self.fix_of[self.fix_of >= 0]].trace(axis1=1, axis2=2) / 3
-        fix_m = float(np.sqrt(np.median(variance)))
-        return Thresholds(c.relinearize_rad, c.relinearize_m or min(0.1, fix_m))
-
-    @cached_property
-    def _params(self) -> gtsam.PreintegrationParams:
-        n = self.noise
-        return imu.parameters(
-            n.accel_noise_mps2_per_sqrt_hz, n.gyro_noise_radps_per_sqrt_hz, self.gravity_mps2
-        )
-
-    @cached_property
-    def _gap_params(self) -> gtsam.PreintegrationParams:
-        c = self.config.imu
-        return imu.parameters(c.gap_accel_mps2, c.gap_gyro_radps, self.gravity_mps2)
-
-    def interval(self, j: int) -> Interval:
-        """The samples between keyframes j - 1 and j, preintegrated at zero bias."""
-        first, last = self.epoch_of[j - 1] + 1, self.epoch_of[j]
-        params = self._gap_params if self.epochs.in_gap[last] else self._params
-        pim = gtsam.PreintegratedImuMeasurements(params)
-        inner = []
-        for epoch in range(first, last + 1):
-            imu.integrate(pim, *self.epochs.samples(epoch))
-            if epoch < last:
-                inner.append(imu.snapshot(pim))
-        return Interval(pim, tuple(inner))
-
-    def prior_factors(self, j: int, state: State, yaw_sigma_rad: float) -> Factors:
-        """What is known before any measurement, laid on keyframe j around a guessed state."""
-        tilt = [LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, yaw_sigma_rad]
-        n = self.noise
-        bias = [n.accel_bias_sigma_mps2] * 3 + [n.gyro_bias_sigma_radps] * 3
-        diagonal = gtsam.noiseModel.Diagonal.Sigmas
-        fix = self.fixes.p_world_ant_m[self.fix_of[self.fix_of >= 0][0]] if j == 0 else None
-        level = gtsam.Pose3(gtsam.Rot3.Yaw(state.pose.rotation().yaw()),
-                            state.pose.translation() if fix is None else fix)  # fmt: skip
-        return [
-            gtsam.PriorFactorPose3(X(j), level, diagonal(np.r_[tilt, [POSITION_SIGMA_M] * 3])),
-            gtsam.PriorFactorVector(V(j), np.zeros(3), diagonal(np.full(3, SPEED_SIGMA_MPS))),
-            gtsam.PriorFactorConstantBias(
-                B(self.bias_of[j]), gtsam.imuBias.ConstantBias(), diagonal(np.array(bias))
-            ),
-            *self._lever_prior(),
-        ]
-
-    def carried_prior_factors(self, j: int, state: State, cov: Array) -> Factors:
-        """A Gaussian prior (15, 15) of pose, velocity and bias on keyframe j, to go on from."""
-        full = gtsam.noiseModel.Gaussian.Covariance
-        return [
-            gtsam.PriorFactorPose3(X(j), state.pose, full(cov[:6, :6])),
-            gtsam.PriorFactorVector(V(j), state.velocity, full(cov[6:9, 6:9])),
-            gtsam.PriorFactorConstantBias(B(self.bias_of[j]), state.bias, full(cov[9:, 9:])),
-            *self._lever_prior(),
-        ]
-
-    def motion_factors(self, j: int, pim: gtsam.PreintegratedImuMeasurements) -> Factors:
-        """From keyframe j - 1 to j: the IMU, and a step of the bias where a new one begins."""
-        i, b = j - 1, int(self.bias_of[j - 1])
-        factors: Factors = [imu.factor((X(i), V(i), X(j), V(j), B(b)), pim)]
-        if self.bias_of[j] != b:
-            sigmas = imu.bias_walk_sigmas(self.noise, self.bias_t_s[b + 1] - self.bias_t_s[b])
-            walk = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
-            still = gtsam.imuBias.ConstantBias()
-            factors.append(gtsam.BetweenFactorConstantBias(B(b), B(b + 1), still, walk))
-        return factors
-
-    def fix_factors(self, j: int) -> Factors:
-        """The GNSS fix at keyframe j."""
-        row = self.fix_of[j]
-        z, model = self.fixes.p_world_ant_m[row], self._fix_noise(row)
-        if not self.has_gnss_bias:
-            return [gnss.position_factor(X(j), z, self.lever, model)]
-        return gnss.biased_position_factors(X(j), A(j), L(0), C(j), z, model)
-
-    def _fix_noise(self, row: int) -> Any:
-        """The noise model of a fix, built once for all rows of the same covariance."""
-        cov, c = self.cov_world_m2[row], self.config.gnss
-        known = self._fix_noises.get(key := cov.tobytes())
-        if known is None and self.has_gnss_bias:
-            known = gtsam.noiseModel.Diagonal.Variances(np.diagonal(cov))
-        elif known is None:
-            known = noise.robust(noise.gaussian(cov), c.loss, c.loss_width)
-        self._fix_noises = {key: known}
-        return known
-
-    def gnss_bias_factors(self, j: int, before: int | None) -> Factors:
-        """The bias chain's link to the fix at keyframe j from the fix at an earlier keyframe."""
-        if not self.has_gnss_bias:
-            return []
-        c = self.config.gnss
-        if before is None:
-            wide = gtsam.noiseModel.Isotropic.Sigma(3, c.bias_sigma_m)
-            return [gtsam.PriorFactorVector(C(j), np.zeros(3), wide)]
-        dt_s = self.t_s[j] - self.t_s[before]
-        return [gnss.bias_transition_factor(C(before), C(j), dt_s, c.bias_sigma_m, c.bias_tau_s)]
-
-    def insert(self, values: gtsam.Values, j: int, state: State, *, new_bias: bool) -> None:
-        """Put a keyframe's first values in; the fix's variables come with `insert_fix`."""
-        values.insert(X(j), state.pose)
-        values.insert(V(j), state.velocity)
-        if new_bias:
-            values.insert(B(self.bias_of[j]), state.bias)
-
-    def insert_fix(self, values: gtsam.Values, j: int, pose: gtsam.Pose3) -> None:
-        """Put in the variables that a fix at keyframe j adds, where it adds any."""
-        if self.has_gnss_bias:
-            values.insert(A(j), pose.transformFrom(self.lever))
-            values.insert(C(j), np.zeros(3))
-
-    def insert_shared(self, values: gtsam.Values) -> None:
-        """Put in the variables that all keyframes share."""
-        if self.has_gnss_bias:
-            values.insert(L(0), self.lever)
-
-    def _lever_prior(self) -> Factors:
-        if not self.has_gnss_bias:
-            return []
-        tight = gtsam.noiseModel.Isotropic.Sigma(3, LEVER_SIGMA_M)
-        return [gtsam.PriorFactorPoint3(L(0), self.lever, tight)]
-
-
-def read_state(values: gtsam.Values, j: int, bias: int) -> State:
-    """Keyframe j as a solution has it."""
-    return State(values.atPose3(X(j)), values.atVector(V(j)), values.atConstantBias(B(bias)))
 
 
 def _imu_noise(drive: Drive, config: SmoothConfig) -> ImuNoise:

@@ -19,25 +19,22 @@ from fgloc.factors import imu, noise
 from fgloc.measurements import Array
 from fgloc.result import Event
 from fgloc.smoother.dense import fill
-from fgloc.smoother.guess import guess, gyro_yaw
-from fgloc.smoother.model import YAW_SIGMA_RAD, Factors, Interval, Model, State, read_state
+from fgloc.smoother.graph import Factors, GraphModel, Interval, State, read_state
+from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, stretch
+from fgloc.smoother.model import OBSERVED_YAW_RAD, YAW_SIGMA_RAD
 from fgloc.smoother.solve import (
-    choose_yaw,
     explain_failure,
     first_values,
     optimize,
     singular,
     window_values,
-    yaw_sigma_rad,
 )
-from fgloc.smoother.states import StateLog
+from fgloc.smoother.states import StateLog, yaw_sigma_rad
 from fgloc.smoother.tree import FixedLagTree, Stamps, WholeTree, as_graph, relinearized
 from fgloc.verdicts import Verdict
 
 UNKNOWN_YAW_SIGMA_RAD = float(np.pi / np.sqrt(3))
 """Of a heading uniform over the circle: the prior until the vehicle's course can be seen."""
-OBSERVED_YAW_RAD = 0.1
-"""The yaw counts as observable once its sigma is below this."""
 SETTLED_YAW_RAD = 0.05
 """A fixed lag shortens to what was asked once the yaw's sigma is below this: marginalising around
 a heading that is still moving makes a filter sure of what it does not know."""
@@ -54,7 +51,7 @@ INFLATION = 10.0
 class Online:
     """One pass over the keyframes of a model; `lag_s` None keeps everything in the tree."""
 
-    def __init__(self, model: Model, lag_s: float | None) -> None:
+    def __init__(self, model: GraphModel, lag_s: float | None) -> None:
         self.model, self.lag_s = model, lag_s
         self.log = StateLog(len(model.epochs))
         self.last = StateLog(len(model.epochs)) if model.config.smoothed else None
@@ -235,13 +232,25 @@ class Online:
         pose = gtsam.Pose3(gtsam.Rot3(start.R_world_veh[0]), start.p_world_m[0])
         base = State(pose, start.v_world_mps[0], gtsam.imuBias.ConstantBias())
         groups = self._window(first, j, model.prior_factors(first, base, YAW_SIGMA_RAD))
-        start = choose_yaw(model, start, groups, self._accepted)
+        start = self._choose_yaw(start, groups)
         values = first_values(model, start, j + 1 - first, self._accepted)
         self._regrow(first, j, groups, values, model.config.solver.factorization)
         self._aligned = True
         self._event(
             j, "aligned", "the fixes show a course: yaw started from it, the past re-solved"
         )
+
+    def _choose_yaw(self, start: Guess, groups: list[Factors]) -> Guess:
+        """The guess turned to the heading that fits; `groups[k]` are of keyframe first + k."""
+        model, n = self.model, stretch(start)
+        graph = as_graph(factor for group in groups[:n] for factor in group)
+        fixes = int((model.fix_of[start.first : start.first + n] >= 0).sum())
+
+        def cost(turned: Guess) -> float:
+            values = first_values(model, turned, n, self._accepted)
+            return float(graph.error(optimize(graph, values, model)[0]))
+
+        return choose_yaw(start, fixes, cost)
 
     def _window(self, first: int, j: int, prior: Factors) -> list[Factors]:
         """The factors of keyframes first..j, one list each, with the prior on the first."""
@@ -343,18 +352,14 @@ class Online:
         tree = relinearized(self._tree) if self.lag_s is None else self._tree
         for k in range(self._harvested, len(self.model)):
             self._keep_last(k, tree)
-        intervals = [self._intervals.get(k) for k in range(len(self.model))]
-        fill(self.last, self.model, intervals, self.bias)
+        fill(self.last, self.model, self.bias, *self.model.deltas())
 
     def _forget(self, j: int) -> None:
         """Fixed lag: drop what no later step can ask for, so that memory does not grow."""
         if self.lag_s is None:
             return
         keep = self._window_start(j, self._held_s()) - 1
-        kept = (
-            (self._states, self._covs) if self.last else (self._states, self._covs, self._intervals)
-        )
-        for store in kept:
+        for store in (self._states, self._covs, self._intervals):
             while store and (oldest := next(iter(store))) < keep:
                 del store[oldest]
         while len(self._accepted) > 1 and self._accepted[0] < keep:
@@ -392,7 +397,7 @@ class Online:
         self.events.append(Event(int(self.model.t_ns[j]), kind, text))
 
 
-def _arrivals(model: Model) -> list[list[int]]:
+def _arrivals(model: GraphModel) -> list[list[int]]:
     """For each keyframe, and the end, the keyframes whose fixes have come in since the last."""
     keys = np.flatnonzero(model.fix_of >= 0)
     received = model.fixes.received_ns[model.fix_of[keys]]
@@ -418,7 +423,7 @@ def _predict(
     return State(nav.pose(), nav.velocity(), state.bias), predicted
 
 
-def _shows_course(model: Model, keys: Sequence[int]) -> bool:
+def _shows_course(model: GraphModel, keys: Sequence[int]) -> bool:
     """Whether the newest fix lies far enough from one of the last seconds to tell a direction."""
     if len(keys) < 3:
         return False

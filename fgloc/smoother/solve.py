@@ -8,16 +8,11 @@ import numpy as np
 
 from fgloc.errors import SolverError
 from fgloc.measurements import Array
+from fgloc.smoother.graph import GraphModel, State
 from fgloc.smoother.guess import Guess
-from fgloc.smoother.model import Factors, Model, State
-from fgloc.smoother.tree import WholeTree, as_graph
+from fgloc.smoother.model import Model
+from fgloc.smoother.tree import WholeTree
 from fgloc.timing import iso_utc
-
-TURNS_RAD = (np.pi, np.pi / 2, -np.pi / 2)
-"""Headings tried where the course itself does not fit: reverse, and an IMU mounted across."""
-FITS = 5.0
-"""The course fits where twice the cost is at most this for each dimension of the fixes, and another
-heading must do better by as much: ties are broken by rounding otherwise."""
 
 _MEANING = {
     "x": ("pose", "position or attitude is not held by any measurement"),
@@ -112,41 +107,9 @@ def singular(model: Model, j: int) -> SolverError:
     )
 
 
-def misfit(fixes: int) -> float:
-    """The cost above which a solution of so many fixes does not fit; see `FITS`."""
-    return FITS * 3 * fixes / 2
-
-
-def choose_yaw(
-    model: Model, guess: Guess, factors: list[Factors], with_fix: Collection[int], length: int = 40
-) -> Guess:
-    """The guess turned to the heading that the first moving stretch fits best.
-
-    `factors[k]` are those of keyframe guess.first + k, the prior first, and `with_fix` the
-    keyframes whose fix is among them. Without a course the guess is returned as it is.
-    """
-    if not guess.yaw_known:
-        return guess
-    speed = np.linalg.norm(guess.v_world_mps[:, :2], axis=1)
-    n = min(len(factors), int(np.argmax(speed > 0.5 * speed.max())) + length)
-    graph = as_graph(factor for group in factors[:n] for factor in group)
-    slack = misfit(int((model.fix_of[guess.first : guess.first + n] >= 0).sum()))
-
-    def cost(turned: Guess) -> float:
-        values = first_values(model, turned, n, with_fix)
-        return float(graph.error(optimize(graph, values, model)[0]))
-
-    best, least = guess, cost(guess)
-    if least <= slack:
-        return guess
-    for turn in TURNS_RAD:
-        turned = guess.turned(turn)
-        if (other := cost(turned)) < least - slack:
-            best, least = turned, other
-    return best
-
-
-def first_values(model: Model, guess: Guess, n: int, with_fix: Collection[int]) -> gtsam.Values:
+def first_values(
+    model: GraphModel, guess: Guess, n: int, with_fix: Collection[int]
+) -> gtsam.Values:
     """GTSAM values of the first n keyframes of a guess, biases at zero; see `window_values`."""
     zero = gtsam.imuBias.ConstantBias()
     poses = (
@@ -158,7 +121,7 @@ def first_values(model: Model, guess: Guess, n: int, with_fix: Collection[int]) 
 
 
 def window_values(
-    model: Model, first: int, states: Sequence[State], with_fix: Collection[int]
+    model: GraphModel, first: int, states: Sequence[State], with_fix: Collection[int]
 ) -> gtsam.Values:
     """GTSAM values of the keyframes from `first` on, with the variables that their fixes add.
 
@@ -173,9 +136,3 @@ def window_values(
         if j in with_fix:
             model.insert_fix(values, j, state.pose)
     return values
-
-
-def yaw_sigma_rad(R_world_veh: np.ndarray, cov_rotation: np.ndarray) -> float:
-    """Sigma of the yaw from a rotation covariance (3, 3) in the vehicle frame."""
-    up = R_world_veh[2]
-    return float(np.sqrt(up @ cov_rotation @ up))

@@ -1,12 +1,36 @@
-"""Estimates collected epoch by epoch, and their turn from GTSAM's tangent to the world's."""
+"""States of the keyframes, estimates of all epochs, and their turn to the world's tangent."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fgloc.measurements import Array
+from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import Model
 from fgloc.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """Values of n keyframes: attitude (n, 3, 3), position in m and velocity in m/s (n, 3) of the
+    IMU's place, its bias (n, 6) in m/s^2 and rad/s, the GNSS bias (n, 3) in m."""
+
+    R: Array
+    p: Array
+    v: Array
+    bias: Array
+    gnss_bias: Array
+
+    def first(self, n: int) -> "States":
+        """Those of the first n keyframes."""
+        return States(*(column[:n] for column in vars(self).values()))
+
+    @classmethod
+    def of(cls, guess: Guess) -> "States":
+        """A guess, with biases of zero."""
+        n = len(guess.p_world_m)
+        return cls(guess.R_world_veh, guess.p_world_m, guess.v_world_mps, np.zeros((n, 6)),
+                   np.zeros((n, 3)))  # fmt: skip
 
 
 class StateLog:
@@ -41,3 +65,9 @@ def pose_cov_to_world(R: Array, cov: Array) -> Array:
     turn[:, :3, 3:] = R
     turn[:, 3:, :3] = R
     return turn @ cov @ turn.swapaxes(-1, -2)
+
+
+def yaw_sigma_rad(R_world_veh: Array, cov_rotation: Array) -> float:
+    """Sigma of the yaw from a rotation covariance (3, 3) in the vehicle frame."""
+    up = R_world_veh[2]
+    return float(np.sqrt(up @ cov_rotation @ up))

@@ -86,3 +86,16 @@ def test_our_weights_are_those_of_the_native_loss(loss):
 
 def test_nis_of_a_two_sigma_error_on_each_axis_is_eight():
     assert noise.nis([[2.0, 6.0]], [np.diag([1.0, 9.0])]) == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize("loss", ["none", "huber", "cauchy"])
+def test_weight_and_curvature_are_the_derivatives_of_the_cost(loss):
+    norms, step = np.array([0.1, 1.0, 3.0, 5.0, 40.0]), 1e-3
+
+    def cost(x):
+        return noise.cost(x, loss, 3.4)
+
+    slope = (cost(norms + step) - cost(norms - step)) / (2 * step)
+    bend = (cost(norms + step) - 2 * cost(norms) + cost(norms - step)) / step**2
+    np.testing.assert_allclose(noise.weight(norms, loss, 3.4) * norms, slope, rtol=1e-5)
+    np.testing.assert_allclose(noise.curvature(norms, loss, 3.4), bend, atol=1e-5)

@@ -9,7 +9,8 @@ from gtsam.symbol_shorthand import A, B, C, L, V, X
 
 from fgloc.config import load_config
 from fgloc.errors import DriveError
-from fgloc.smoother.model import Model, State
+from fgloc.smoother.graph import GraphModel, State
+from fgloc.smoother.model import POSITION_SIGMA_M
 from fgloc.sync import plan
 
 
@@ -17,7 +18,7 @@ from fgloc.sync import plan
 def model_of(city):
     def build(drive=None, **settings):
         drive, config = drive or city(0, 10.0), load_config(**settings)
-        return Model(drive, plan(drive, config), config)
+        return GraphModel(drive, plan(drive, config), config)
 
     return build
 
@@ -129,6 +130,9 @@ def test_the_prior_is_level_and_around_the_first_fix(model_of):
     model = model_of()
     tilted = gtsam.Pose3(gtsam.Rot3.Ypr(0.4, 0.2, 0.1), np.array([500.0, 0.0, 0.0]))
     state = State(tilted, np.ones(3), gtsam.imuBias.ConstantBias())
-    pose = model.prior_factors(0, state, 10.0)[0].prior()
-    np.testing.assert_allclose(pose.rotation().ypr(), [0.4, 0, 0], atol=1e-12)
-    np.testing.assert_allclose(pose.translation(), model.fixes.p_world_ant_m[0])
+    values = gtsam.Values()
+    first = model.fixes.p_world_ant_m[0]
+    values.insert(X(0), gtsam.Pose3(gtsam.Rot3.Yaw(0.4), first + [0, 0, POSITION_SIGMA_M]))
+    turn, place = model.prior_factors(0, state, 10.0)[:2]
+    assert turn.error(values) == pytest.approx(0, abs=1e-20)
+    assert place.error(values) == pytest.approx(0.5)

@@ -10,7 +10,7 @@ from fgloc.datasets import open_drive
 from fgloc.datasets.degrade import degrade
 from fgloc.errors import SolverError
 from fgloc.smoother import smooth
-from fgloc.smoother.model import Model
+from fgloc.smoother.graph import GraphModel
 from fgloc.smoother.online import Online
 from fgloc.sync import plan
 from fgloc.verdicts import Verdict
@@ -143,7 +143,7 @@ def test_a_fixed_lag_holds_no_more_after_a_longer_drive(city, settings):
     for duration_s in (100.0, 200.0):
         drive = degrade(city(0, duration_s), keep_every=10)
         config = load_config(mode="fixed-lag", **settings)
-        online = Online(Model(drive, plan(drive, config), config), config.lag_s)
+        online = Online(GraphModel(drive, plan(drive, config), config), config.lag_s)
         online.run()
         held.append(stores(online))
     assert held[0] == held[1]

@@ -1,0 +1,206 @@
+"""Preintegration of a whole drive's IMU samples at once, in numpy.
+
+The sums are those of GTSAM's `PreintegratedImuMeasurements` (Forster et al., T-RO 2017, in the
+tangent form of GTSAM's ImuFactor notes): theta' = theta + Jr^-1(theta) w dt, and so on. Intervals
+are laid side by side and stepped through together. Only the rotation needs stepping: given it, a
+sample's share in delta, its bias Jacobians and its covariance is a product of what precedes it and
+of P, the 9 x 3 effect that a change of theta just after the sample has at the interval's end.
+
+Inside, components come first: a field of vectors is (3, L, n) and one of matrices (3, 3, L, n) for
+sample l of interval n, which numpy works through several times faster than stacks of small arrays.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fgloc.factors.imu import INTEGRATION_NOISE_M_PER_SQRT_S, ImuDeltas
+from fgloc.measurements import Array
+
+SAMPLES_AT_ONCE = 40_000
+"""Intervals are taken in portions of about so many samples, which bounds the memory."""
+
+
+def preintegrate(
+    accel_mps2: Array, gyro_radps: Array, dt_s: Array, first: NDArray[np.int64],
+    stops: NDArray[np.int64], accel_noise: ArrayLike, gyro_noise: ArrayLike,
+) -> ImuDeltas:  # fmt: skip
+    """Samples first[n]:stops[s, n] of (M, 3) m/s^2, (M, 3) rad/s and (M,) s, at zero bias.
+
+    Columns have leading axes (S, N): N intervals, each up to S stops that do not go back. Noise is
+    a density in m/s^2 and rad/s per sqrt(Hz), one for all intervals or (N,).
+    """
+    shape = stops.shape
+    out = ImuDeltas(np.zeros((*shape, 9)), np.zeros((*shape, 9, 6)), np.zeros((*shape, 9, 9)),
+                    np.zeros(shape), np.zeros((*shape, 6)))  # fmt: skip
+    variances = [np.broadcast_to(np.square(noise), shape[1]) for noise in (accel_noise, gyro_noise)]
+    count = stops - first
+    for rows in _portions(count[-1]):
+        sample = first[rows] + np.arange(count[-1, rows].max(initial=0))[:, None]
+        sample = np.minimum(sample, max(len(dt_s) - 1, 0))
+        path = _Path(
+            accel_mps2.T[:, sample], gyro_radps.T[:, sample], dt_s[sample], count[-1, rows]
+        )
+        for s in range(shape[0]):
+            upto = count[s, rows]
+            delta, by_bias, cov = path.sums(upto, *(v[rows] for v in variances))
+            out.delta[s, rows], out.by_bias[s, rows], out.cov[s, rows] = delta, by_bias, cov
+            out.dt_s[s, rows] = path.dt_until(upto).sum(0)
+    return out
+
+
+def _portions(count: NDArray[np.int64]) -> Iterator[slice]:
+    """Consecutive intervals of together about `SAMPLES_AT_ONCE` samples, padding included."""
+    first = 0
+    while first < len(count):
+        widest = np.maximum.accumulate(count[first:])
+        size = widest * np.arange(1, len(widest) + 1)
+        stop = first + max(int(np.searchsorted(size, SAMPLES_AT_ONCE)), 1)
+        yield slice(first, stop)
+        first = stop
+
+
+class _Path:
+    """Padded samples (L, n) of n intervals, and what each sample does whatever comes after it."""
+
+    def __init__(self, accel: Array, gyro: Array, dt: Array, count: NDArray[np.int64]) -> None:
+        self._dt = dt
+        self._theta = _rotations(gyro * self.dt_until(count))
+        self._R, Jr, self._inverse, c, slope = _so3(self._theta[:, :-1])
+        self._force = _apply(self._R, accel)
+        self._force_by_theta = _product(_product(self._R, -_skew(accel)), Jr)
+        self._turn_by_theta = _theta_by_theta(self._theta[:, :-1], gyro, c, slope)
+
+    def dt_until(self, count: NDArray[np.int64]) -> Array:
+        """Lengths (l, n) in s of the first `count` samples of each interval, 0 after them."""
+        most = count.max(initial=0)
+        return np.where(np.arange(most)[:, None] < count, self._dt[:most], 0.0)
+
+    def sums(
+        self, count: NDArray[np.int64], accel_var: Array, gyro_var: Array
+    ) -> tuple[Array, Array, Array]:
+        """Delta (n, 9), its Jacobian by bias (n, 9, 6) and covariance (n, 9, 9)."""
+        dt = self.dt_until(count)
+        R, force, inverse, force_by_theta, turn_by_theta = (
+            field[..., : len(dt), :] for field in (self._R, self._force, self._inverse,
+                                                   self._force_by_theta, self._turn_by_theta)
+        )  # fmt: skip
+        remaining = dt.sum(0) - np.cumsum(dt, 0)
+        reach = dt / 2 + remaining  # a speed gained in a step has moved so far by the end, per dt
+        theta = self._theta[:, count, np.arange(len(count))]
+        delta = np.concatenate([theta, (force * (dt * reach)).sum(1), (force * dt).sum(1)]).T
+        step = np.eye(3)[:, :, None, None] + dt * turn_by_theta
+        M = _effects(step, force_by_theta * (dt * reach), force_by_theta * dt, inverse)
+        by_bias = np.zeros((len(count), 9, 6))
+        by_bias[:, 3:6, :3] = -(R * (dt * reach)).sum(2).transpose(2, 0, 1)
+        by_bias[:, 6:, :3] = -(R * dt).sum(2).transpose(2, 0, 1)
+        by_bias[:, :, 3:] = -(M * dt).sum(2).transpose(2, 0, 1)
+        cov = _covariance(M, dt, reach, accel_var, gyro_var)
+        return delta, by_bias, _at_the_end(_so3(theta), cov)
+
+
+def _rotations(turn: Array) -> Array:
+    """Rotation vectors (3, L + 1, n) before each sample and at the end, from w dt (3, L, n)."""
+    theta = np.zeros((3, turn.shape[1] + 1, turn.shape[2]))
+    for k in range(turn.shape[1]):
+        t, w = theta[:, k], turn[:, k]
+        square, along = (t * t).sum(0), (t * w).sum(0)
+        c, _ = _curvature(square)
+        theta[:, k + 1] = (1 - c * square) * w + c * along * t + t + _cross(t, w) / 2
+    return theta
+
+
+def _effects(step: Array, move: Array, speed_up: Array, inverse: Array) -> Array:
+    """M (9, 3, L, n): what a rotation rate during each sample does, per second, at the end."""
+    M = np.empty((9, *inverse.shape[1:]))
+    P = np.zeros((9, 3, step.shape[-1]))
+    P[:3] = np.eye(3)[..., None]
+    for k in reversed(range(step.shape[2])):
+        M[:, :, k] = _product(P, inverse[:, :, k])
+        P = _product(P, step[:, :, k])
+        P[3:6] += move[:, :, k]
+        P[6:] += speed_up[:, :, k]
+    return M
+
+
+def _so3(theta: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Exp, Jr, Jr^-1 (3, 3, ...) of rotation vectors (3, ...), and `_curvature`."""
+    square = (theta * theta).sum(0)
+    small = square < 1e-6
+    x2 = np.where(small, 1.0, square)
+    x = np.sqrt(x2)
+    sine = np.where(small, 1 - square / 6, np.sin(x) / x)
+    cosine = np.where(small, 0.5 - square / 24, (1 - np.cos(x)) / x2)
+    cubic = np.where(small, 1 / 6 - square / 120, (x - np.sin(x)) / (x * x2))
+    c, slope = _curvature(square)
+    T, eye = _skew(theta), np.eye(3).reshape(3, 3, *[1] * square.ndim)
+    TT = theta[:, None] * theta - square * eye
+    return (eye + sine * T + cosine * TT, eye - cosine * T + cubic * TT, eye + T / 2 + c * TT,
+            c, slope)  # fmt: skip
+
+
+def _theta_by_theta(theta: Array, gyro: Array, c: Array, slope: Array) -> Array:
+    """Derivative (3, 3, L, n) by theta of Jr^-1(theta) w = w + theta x w / 2 + c theta x ..."""
+    along = (theta * gyro).sum(0)
+    once = _cross(theta, gyro)
+    twice = theta * along - gyro * (theta * theta).sum(0)
+    result = -_skew(gyro / 2 + c * once) + (slope * twice - c * gyro)[:, None] * theta
+    result[range(3), range(3)] += c * along
+    return result
+
+
+def _curvature(square: Array) -> tuple[Array, Array]:
+    """c(x) = 1/x^2 - cot(x/2) / 2x of Jr^-1 = I + T/2 + c T^2, and c'(x) / x, by x^2."""
+    s = square
+    c = 1 / 12 + s * (1 / 720 + s * (1 / 30240 + s * (1 / 1209600 + s / 47900160)))
+    slope = 1 / 360 + s * (1 / 7560 + s * (1 / 201600 + s / 5987520))
+    if s.size and s.max() > 0.25:
+        large = s > 0.25
+        x = np.sqrt(s[large])
+        tan = np.tan(x / 2)
+        c[large] = 1 / x**2 - 1 / (2 * x * tan)
+        slope[large] = (-2 / x**3 + 1 / (2 * x**2 * tan) + 1 / (4 * x * np.sin(x / 2) ** 2)) / x
+    return c, slope
+
+
+def _covariance(M: Array, dt: Array, reach: Array, accel_var: Array, gyro_var: Array) -> Array:
+    """(n, 9, 9): the gyro's noise through M; the accelerometer's, alike on all axes, as sums."""
+    flat = (M * np.sqrt(dt * gyro_var)).transpose(3, 0, 1, 2).reshape(dt.shape[1], 9, -1)
+    cov = flat @ flat.swapaxes(-1, -2)
+    along = np.arange(3)
+    speed = accel_var * dt.sum(0)
+    both = accel_var * (dt * reach).sum(0)
+    place = accel_var * (dt * reach**2).sum(0) + INTEGRATION_NOISE_M_PER_SQRT_S**2 * dt.sum(0)
+    for i, j, value in ((3, 3, place), (3, 6, both), (6, 3, both), (6, 6, speed)):
+        cov[:, i + along, j + along] += value[:, None]
+    return cov
+
+
+def _at_the_end(end: tuple[Array, ...], cov: Array) -> Array:
+    """A covariance of (theta, dp, dv) turned into the frame at the interval's end."""
+    R, Jr, *_ = end
+    turn = np.zeros_like(cov)
+    turn[:, :3, :3] = Jr.transpose(2, 0, 1)
+    turn[:, 3:6, 3:6] = turn[:, 6:, 6:] = R.transpose(2, 1, 0)
+    return turn @ cov @ turn.swapaxes(-1, -2)
+
+
+def _product(A: Array, B: Array) -> Array:
+    return np.einsum("ij...,jk...->ik...", A, B)
+
+
+def _apply(A: Array, b: Array) -> Array:
+    return np.einsum("ij...,j...->i...", A, b)
+
+
+def _skew(vector: Array) -> Array:
+    W = np.zeros((3, *vector.shape))
+    W[2, 1], W[0, 2], W[1, 0] = vector
+    W[1, 2], W[2, 0], W[0, 1] = -vector
+    return W
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                     a[0] * b[1] - a[1] * b[0]])  # fmt: skip

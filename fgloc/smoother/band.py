@@ -1,0 +1,181 @@
+"""Normal equations of a chain, kept and factorised as LAPACK keeps banded matrices.
+
+A chain of n blocks of d unknowns, each tied to the next one only, has a symmetric matrix whose
+lower half lies within a band of 2 d. One banded Cholesky solves for all unknowns of an hour's drive
+in a fraction of a second, and the blocks of the inverse follow from the factor.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgloc.measurements import Array
+
+BLOCKS_AT_ONCE = 4096
+"""The inverse is taken in portions of so many blocks, which bounds the memory."""
+MANY_BLOCKS = 1000
+"""From here on LAPACK pays: a step through numpy for each block costs less than importing scipy, up
+to about this many."""
+
+
+class NotPositiveError(Exception):
+    """The matrix is not positive definite; `unknown` is the first that nothing holds."""
+
+    def __init__(self, unknown: int) -> None:
+        super().__init__(f"unknown {unknown} is not held")
+        self.unknown = unknown
+
+
+class Band:
+    """H (n d, n d) and gradient (n, d) of a cost: terms are added, then it is factorised in place.
+
+    `columns[j, c, k]` is H between unknown c of block j and the unknown k places after it.
+    """
+
+    def __init__(self, n: int, d: int) -> None:
+        self.d = d
+        self.columns = np.zeros((n, d, 2 * d))
+        self.gradient = np.zeros((n, d))
+
+    def add(
+        self, blocks: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array
+    ) -> None:
+        """Add M terms: one for each of some blocks (increasing, none twice).
+
+        curvature is (M, q, q) and gradient (M, q), of the unknowns `at` (q,), increasing; they are
+        counted from the start of the block, and on into the next block from d on.
+        """
+        for i, place in enumerate(at.tolist()):
+            step, c = divmod(place, self.d)
+            rows = _rows(blocks + step)
+            self.gradient[rows, c] += gradient[:, i]
+            across = at[i:] - place
+            wide = rows[:, None] if isinstance(rows, np.ndarray) else rows
+            self.columns[wide, c, across] += curvature[:, i:, i]
+
+    def factor(self, damping: Array | float) -> "Factor":
+        """The Cholesky factor of H with a damping (d,) on each block; H may be overwritten.
+
+        Raises NotPositiveError.
+        """
+        self.columns[:, :, 0] += damping
+        return (_Blocks if len(self.columns) < MANY_BLOCKS else _Lapack)(self.columns)
+
+
+class Factor(ABC):
+    """The Cholesky factor L of a band."""
+
+    @abstractmethod
+    def solve(self, right: Array) -> Array:
+        """x (n, d) of H x = right (n, d)."""
+
+    @abstractmethod
+    def blocks(self, rows: slice) -> tuple[Array, Array]:
+        """The inverses of L_jj and the L_j+1,j of some blocks, both (m, d, d)."""
+
+    def inverse_blocks(self, n: int, keep: NDArray[np.int64]) -> Array:
+        """Rows and columns `keep` (q,) of the n diagonal blocks of H^-1, (n, q, q).
+
+        S_j = L_jj^-T (I + L_j+1,j' S_j+1 L_j+1,j) L_jj^-1 from the last block back (the selected
+        inverse of Takahashi et al. 1973).
+        """
+        out = np.empty((n, len(keep), len(keep)))
+        last: Array | None = None
+        for stop in range(n, 0, -BLOCKS_AT_ONCE):
+            rows = slice(max(stop - BLOCKS_AT_ONCE, 0), stop)
+            inverse, across = self.blocks(rows)
+            own = inverse.swapaxes(-1, -2) @ inverse
+            carried = across @ inverse
+            for j in reversed(range(len(own))):
+                if last is not None:
+                    C = carried[j]
+                    own[j] += C.T @ last @ C
+                last = own[j]
+            out[rows] = own[:, keep[:, None], keep]
+        return out
+
+
+class _Lapack(Factor):
+    """By LAPACK's banded Cholesky, in the place of H."""
+
+    def __init__(self, columns: Array) -> None:
+        from scipy.linalg import lapack
+
+        n, d, width = columns.shape
+        band, failed = lapack.dpbtrf(columns.reshape(n * d, width).T, lower=1, overwrite_ab=1)
+        if failed:
+            raise NotPositiveError(failed - 1)
+        self.columns = band.T.reshape(n, d, width)
+
+    def solve(self, right: Array) -> Array:
+        from scipy.linalg import lapack
+
+        n, d, width = self.columns.shape
+        x, _ = lapack.dpbtrs(self.columns.reshape(n * d, width).T, right.reshape(-1, 1), lower=1)
+        return x.reshape(n, d)
+
+    def blocks(self, rows: slice) -> tuple[Array, Array]:
+        L = _unfolded(self.columns[rows])
+        d = L.shape[-1]
+        return _inverse_of_lower(L[:, :d]), L[:, d:]
+
+
+class _Blocks(Factor):
+    """Block by block in numpy."""
+
+    def __init__(self, columns: Array) -> None:
+        H = _unfolded(columns)
+        n, d = len(H), H.shape[-1]
+        self._inverse, self._across = np.empty((n, d, d)), np.zeros((n, d, d))
+        reduced = H[0, :d]
+        for j in range(n):
+            try:
+                inverse = self._inverse[j] = np.linalg.inv(np.linalg.cholesky(reduced))
+            except np.linalg.LinAlgError as err:
+                raise NotPositiveError(j * d) from err
+            if j + 1 < n:
+                across = self._across[j] = H[j, d:] @ inverse.T
+                reduced = H[j + 1, :d] - across @ across.T
+
+    def solve(self, right: Array) -> Array:
+        y = np.empty_like(right)
+        carried: Array | float = 0.0
+        for j in range(len(y)):
+            y[j] = self._inverse[j] @ (right[j] - carried)
+            carried = self._across[j] @ y[j]
+        carried = 0.0
+        for j in reversed(range(len(y))):
+            y[j] = (y[j] - carried) @ self._inverse[j]
+            carried = y[j] @ self._across[j - 1]
+        return y
+
+    def blocks(self, rows: slice) -> tuple[Array, Array]:
+        return self._inverse[rows], self._across[rows]
+
+
+def _unfolded(columns: Array) -> Array:
+    """The band's blocks in full, lower triangle and what is below it: (m, 2 d, d)."""
+    m, d, width = columns.shape
+    full = np.zeros((m, width, d))
+    for c in range(d):
+        full[:, c:, c] = columns[:, c, : width - c]
+    return full
+
+
+def _inverse_of_lower(L: Array) -> Array:
+    """Of lower triangular matrices (m, d, d), by forward substitution along the whole stack."""
+    d = L.shape[-1]
+    inverse = np.zeros_like(L)
+    for i in range(d):
+        row = -np.matmul(L[:, i : i + 1, :i], inverse[:, :i])[:, 0]
+        row[:, i] += 1
+        inverse[:, i] = row / L[:, i, i, None]
+    return inverse
+
+
+def _rows(blocks: NDArray[np.int64]) -> Any:
+    """A slice where the blocks are consecutive, which is quicker; else the blocks themselves."""
+    first, n = int(blocks[0]), len(blocks)
+    return slice(first, first + n) if blocks[-1] - first + 1 == n else blocks

@@ -1,0 +1,108 @@
+"""The chain's optimum and covariances are GTSAM's, on real and simulated drives."""
+
+import numpy as np
+import pytest
+
+from fgloc.config import load_config
+from fgloc.datasets import open_drive
+from fgloc.datasets.degrade import degrade
+from fgloc.errors import SolverError
+from fgloc.frames import log_so3
+from fgloc.smoother.chain import Chain
+from fgloc.smoother.graph import GraphModel
+from fgloc.smoother.guess import guess, gyro_yaw
+from fgloc.smoother.states import States
+from fgloc.smoother.whole import Whole
+from fgloc.sync import plan
+
+CASES = {
+    "A": {},
+    "B": {"outage": (75, 15, 45)},
+    "C": {"outage": (75, 30, 90)},
+    "D": {"noise_enu_m": (1, 1, 2), "seed": 0},
+}
+
+
+def solvers(drive, **settings):
+    """The model of a drive, its guess, and its graph as a chain and for GTSAM."""
+    config = load_config(**settings)
+    model = GraphModel(drive, plan(drive, config), config)
+    start = guess(model, 0, len(model) - 1, gyro_yaw(model))
+    return model, start, Chain(model, start, model.deltas()[0]), Whole(model, start)
+
+
+def assert_same_optimum(drive, gated=(), **settings):
+    """Cost within 1e-6, positions within 0.1 mm, covariances within 0.1 %."""
+    settings = {"solver": {"cost_tolerance": 1e-7}, **settings}
+    _, start, chain, whole = solvers(drive, **settings)
+    left_out = np.isin(np.arange(len(chain.fixed)), gated)
+    ours, cost, _ = chain.optimum(States.of(start), left_out)
+    # GTSAM's steps are damped and its robust tail is long: it starts where we ended.
+    theirs, its_cost, _ = whole.optimum(ours, left_out)
+    assert cost == pytest.approx(its_cost, rel=1e-6)
+    assert np.abs(ours.p - theirs.p).max() < 1e-4
+    assert np.abs(log_so3(ours.R.swapaxes(-1, -2) @ theirs.R)).max() < 1e-5
+    assert np.abs(ours.v - theirs.v).max() < 1e-4
+    for mine, its in zip(
+        chain.covariances(theirs, left_out), whole.covariances(theirs, left_out), strict=True
+    ):
+        apart = np.linalg.norm(mine - its, axis=(1, 2)) / np.linalg.norm(its, axis=(1, 2))
+        assert apart.max() < 1e-3
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_on_the_real_drive(case):
+    drive = open_drive("mems-rtk")
+    assert_same_optimum(degrade(drive, **CASES[case]) if CASES[case] else drive)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_on_simulated_drives_whose_keyframes_share_biases(city, seed):
+    assert_same_optimum(city(seed, 30.0))
+
+
+def test_where_some_fixes_are_gated(city):
+    assert_same_optimum(city(0, 20.0), gated=[3, 4, 5, 80])
+
+
+@pytest.mark.parametrize("loss", ["none", "cauchy"])
+def test_under_every_loss(city, loss):
+    assert_same_optimum(city(1, 20.0), gnss={"loss": loss})
+
+
+def test_with_a_gap_of_the_imu(city, altered):
+    assert_same_optimum(altered.without_imu(city(1, 30.0), 12.0, 14.0))
+
+
+def test_with_a_bias_of_gnss(city):
+    assert_same_optimum(degrade(city(0, 30.0), keep_every=5), gnss={"bias_sigma_m": 2.0})
+
+
+def test_the_cost_anywhere_is_that_of_the_graph(city):
+    """Not only at the optimum: attitudes, speeds and biases off by what a bad guess is off by."""
+    _, start, chain, whole = solvers(city(0, 10.0), gnss={"loss": "none"})
+    rng, nothing = np.random.default_rng(0), np.zeros(len(chain.fixed), bool)
+    states = chain.moved(States.of(start), 0.1 * rng.normal(size=(chain.n, 15)))
+    graph, values = whole._graph(nothing), whole._values(states)
+    assert chain.linearize(states, nothing, "plain")[0] == pytest.approx(graph.error(values))
+
+
+def test_a_step_lowers_the_cost_by_what_it_promises(city):
+    _, start, chain, _ = solvers(city(0, 10.0))
+    nothing = np.zeros(len(chain.fixed), bool)
+    states, cost, _ = chain.optimum(States.of(start), nothing)
+    rng = np.random.default_rng(1)
+    away = chain.moved(states, 1e-5 * rng.normal(size=(chain.n, 15)) * np.repeat([1, 1e-2], [9, 6]))
+    value, band = chain.linearize(away, nothing, "newton")
+    gradient = band.gradient.copy()
+    step = band.factor(0.0).solve(gradient)
+    assert value - cost == pytest.approx((gradient * step).sum() / 2, rel=1e-2)
+
+
+def test_a_fix_out_of_all_bounds_is_an_error_that_names_a_keyframe(city, altered):
+    drive = city(0, 10.0)
+    p = drive.gnss.p_world_ant_m.copy()
+    p[50] = 1e300
+    _, start, chain, _ = solvers(altered.with_fixes(drive, p_world_ant_m=p))
+    with pytest.raises(SolverError, match=r"the solver failed at the \w+( \w+)? of keyframe \d+"):
+        chain.optimum(States.of(start), np.zeros(len(chain.fixed), bool))
