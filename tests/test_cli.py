@@ -276,7 +276,7 @@ def test_drives_tell_of_themselves_in_json(run, city, tmp_path, monkeypatch):
     status, text, _ = run("import", "mems-rtk", source, "--out", "new", "--json")
     assert status == 0 and json.loads(text) == {
         "drive": "mems-rtk", "folder": "new", "duration_s": 0.0, "rows": {"gnss": 1, "imu": 1},
-        "truth_rows": 0,
+        "truth_rows": 0, "source": read_drive("new").about.source,
     }  # fmt: skip
 
 

@@ -119,6 +119,12 @@ out_dir = out("DIR", "Folder for the results; made where it is missing.")
 seed = click.option(
     "--seed", type=click.IntRange(min=0), metavar="N", help="Seed of a scenario given by name."
 )
+import_files = with_options(
+    click.option("--imu", metavar="FILE", help="IMU beside the fixes: CSV as a drive's imu.csv."),
+    click.option("--imu-noise", metavar="FILE", help="Noise of the IMU: imu.yaml of Kalibr."),
+    click.option("--positions", metavar="FILE", help="Trajectory (TUM) that is measured."),
+    click.option("--truth", metavar="FILE", help="Trajectory (TUM) that is the truth."),
+)
 settings = click.option(
     "--set", "settings", type=Setting(), multiple=True, metavar="KEY=VALUE",
     help="One option more, by name; may be given several times.",
