@@ -190,7 +190,7 @@ def test_degrade_smooth_explain(run, tmp_path):
 def test_a_causal_mode_with_its_smoothed_states(run, city, tmp_path):
     out = tmp_path / "lag"
     status, text, _ = run("smooth", city, "--mode", "fixed-lag", "--lag", "4", "--smoothed",
-                          "--out", out, "--score-from", "15")  # fmt: skip
+                          "--out", out, "--score-from", "15", "--also", "gpx,kml")  # fmt: skip
     assert status == 0 and "causal, no look-ahead" in text and "which looks ahead" in text
     assert {path.name for path in out.iterdir()} == set(FILES)
     summary = json.loads((out / "summary.json").read_text())
