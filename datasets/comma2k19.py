@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fgloc.datasets.recording import geodetic_fixes, left_out
+from fgloc.datasets.recording import check_sigma, geodetic_fixes, left_out
 from fgloc.datasets.trajectory_columns import check_increasing
 from fgloc.drive import About, Drive, ImuNoise, Rig
 from fgloc.errors import DriveError
@@ -73,8 +73,11 @@ def import_comma2k19(
 ) -> Drive:
     """The drive in a segment's folder, fixes with the sigmas given.
 
-    Raises DriveError where an array is missing, damaged, of a wrong shape or out of order.
+    Raises DriveError where an array is missing, damaged, of a wrong shape or out of order,
+    InputError where a sigma is not above 0.
     """
+    check_sigma("sigma_horizontal_m", sigma_horizontal_m)
+    check_sigma("sigma_up_m", sigma_up_m)
     source = Path(source)
     boot_ns = _boot_instant(source)
     fix_path = source / _GNSS / "value"
@@ -83,11 +86,9 @@ def import_comma2k19(
     lines = np.arange(1, len(rows) + 1)[valid].tolist()
     cov_m2 = np.tile(np.diag([sigma_horizontal_m, sigma_horizontal_m, sigma_up_m]) ** 2,
                      (len(lines), 1, 1))  # fmt: skip
-    fixes, origin, unusable = geodetic_fixes(
+    fixes, origin, _ = geodetic_fixes(
         fix_path, lines, t_fix_ns[valid], rows[valid][:, [0, 1, 4]], cov_m2
     )
-    if unusable:
-        raise DriveError("sigma_horizontal_m and sigma_up_m must be above 0")
     samples, wheel = _imu(source, boot_ns), _wheel(source, boot_ns)
     T_veh_imu = _levelled(samples, wheel)
     tables = {"gnss": fixes, "imu": samples, "wheel": wheel, "steering": _steering(source, boot_ns)}

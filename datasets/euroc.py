@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fgloc.datasets.imu_files import read_imu_yaml
-from fgloc.datasets.recording import left_out, number, read_lines
+from fgloc.datasets.recording import check_sigma, left_out, number, read_lines
 from fgloc.datasets.trajectory_columns import check_increasing
 from fgloc.datasets.trajectory_files import read_tum
 from fgloc.drive import About, Drive, Rig
@@ -52,8 +52,7 @@ def import_euroc(
             "an EuRoC recording has no positions of its own: name a TUM trajectory with "
             "--positions FILE"
         )
-    if not (np.isfinite(sigma_m) and sigma_m > 0):
-        raise InputError(f"sigma_m = {sigma_m}: a standard deviation above 0 m is needed")
+    check_sigma("sigma_m", sigma_m)
     folder = _imu_folder(Path(source))
     noise, T_veh_imu = read_imu_yaml(Path(imu_noise or folder / "sensor.yaml"))
     samples = _samples(folder / "data.csv")
@@ -91,7 +90,7 @@ def _row(where: str, line: str) -> tuple[int, list[float]]:
     cells = [cell.strip() for cell in line.split(",")]
     if len(cells) != len(_COLUMNS):
         raise DriveError(f"{where}: {len(cells)} values, expected 7: {','.join(_COLUMNS)}")
-    if not (cells[0].isdecimal() and len(cells[0]) <= 18):
+    if not (cells[0].isdecimal() and int(cells[0]) <= np.iinfo(np.int64).max):
         raise DriveError(f"{where}: timestamp = {cells[0]!r} is no whole number of nanoseconds")
     return int(cells[0]), [
         number(where, name, cell) for name, cell in zip(_COLUMNS[1:], cells[1:], strict=True)

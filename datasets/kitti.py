@@ -73,7 +73,7 @@ def example_file(name: str) -> Path:
 
     try:
         return Path(gtsam.findExampleDataFile(name))
-    except RuntimeError as err:
+    except FileNotFoundError as err:
         raise DriveError(f"{name}: not among the files of the installed gtsam") from err
 
 

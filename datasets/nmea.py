@@ -29,12 +29,13 @@ from fgloc.datasets.recording import (
     DAY_NS,
     INDEFINITE,
     calendar_ns,
+    check_sigma,
     geodetic_fixes,
     left_out,
     read_lines,
 )
 from fgloc.drive import About, Drive, Rig
-from fgloc.errors import DriveError, InputError
+from fgloc.errors import DriveError
 from fgloc.measurements import Array
 from fgloc.timing import Instants
 
@@ -64,8 +65,7 @@ def import_nmea(
     Raises DriveError where the log holds no fix, no date or a sentence whose checksum is right and
     whose content is not; InputError for a wrong option.
     """
-    if not (np.isfinite(uere_m) and uere_m > 0):
-        raise InputError(f"uere_m = {uere_m}: a standard deviation above 0 m is needed")
+    check_sigma("uere_m", uere_m)
     path = Path(source)
     sentences, lost = _sentences(path)
     gga = [one for one in sentences if one.kind == "GGA"]

@@ -12,7 +12,7 @@ import numpy as np
 
 from fgloc.datasets.drive_tables import is_covariance
 from fgloc.datasets.trajectory_columns import GEODETIC, check_increasing, check_places
-from fgloc.errors import DriveError
+from fgloc.errors import DriveError, InputError
 from fgloc.frames import Datum, Origin
 from fgloc.measurements import Array, GnssFixes
 from fgloc.timing import NS_PER_S, Instants, decimal_to_ns
@@ -47,6 +47,12 @@ def number(where: str, name: str, cell: str) -> float:
     if not np.isfinite(value):
         raise DriveError(f"{where}: {name} = {cell} is not finite; remove the line or repair it")
     return value
+
+
+def check_sigma(name: str, value: float) -> None:
+    """Raise InputError where an option is no standard deviation in m."""
+    if not (np.isfinite(value) and value > 0):
+        raise InputError(f"{name} = {value}: a standard deviation above 0 m is needed")
 
 
 def calendar_ns(where: str, date: str, clock: str) -> int:

@@ -208,10 +208,10 @@ def _valid_options(name: str, valid: list[str]) -> str:
 def _check_type(what: str, value: Any, annotation: Any) -> None:
     """Raise InputError where a value is none of those that the function's annotation names."""
     kinds = [kind for kind in typing.get_args(annotation) or (annotation,) if kind in _KINDS]
-    for kind in kinds:
-        is_number = isinstance(value, bool) and kind is not bool  # a truth value is no number
-        if isinstance(value, _KINDS[kind][1]) and not is_number:
-            return
+    # Of Python's types bool is an int; for people a truth value is no number.
+    taken = tuple(kind for one in kinds for kind in _KINDS[one][1])
+    if isinstance(value, taken) and (bool in kinds or not isinstance(value, bool)):
+        return
     # A path is given as text anyway: what it is for people is the last and widest kind.
     raise InputError(f"{what} is not {_KINDS[kinds[-1]][0]}")
 

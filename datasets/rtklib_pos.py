@@ -27,7 +27,7 @@ from fgloc.datasets.recording import (
 )
 from fgloc.datasets.trajectory_columns import symmetric
 from fgloc.drive import About, Drive, Rig
-from fgloc.errors import DriveError
+from fgloc.errors import DriveError, InputError
 from fgloc.frames import Datum
 from fgloc.measurements import Array
 from fgloc.timing import GPS_EPOCH_UNIX_S, NS_PER_S, WEEK_S, Instants, decimal_to_ns, gps_to_utc_ns
@@ -68,7 +68,7 @@ def import_rtklib_pos(
     fixes, origin, indefinite = geodetic_fixes(
         path,
         np.array(numbers)[good].tolist(),
-        _to_posix(scale, np.array(stamps, np.int64))[good],
+        _to_posix(path, scale, np.array(stamps, np.int64))[good],
         np.stack([one[name] for name in _PLACE], -1)[good],
         _covariances(one)[good],
         _velocities(one, good),
@@ -133,13 +133,16 @@ def _stamp(where: str, first: str, second: str) -> int:
         raise DriveError(f"{where}: seconds of the week = {second!r} is not a number") from err
 
 
-def _to_posix(scale: str, stamps: Instants) -> Instants:
+def _to_posix(path: Path, scale: str, stamps: Instants) -> Instants:
     convert: dict[str, Callable[[Instants], Instants]] = {
         "GPST": lambda ns: gps_to_utc_ns(ns - GPS_EPOCH_UNIX_S * NS_PER_S),
         "UTC": lambda ns: ns,
         "JST": lambda ns: np.asarray(ns - _JST_NS, np.int64),
     }
-    return convert[scale](stamps)
+    try:
+        return convert[scale](stamps)
+    except InputError as err:
+        raise DriveError(f"{path}: {err}") from err
 
 
 def _covariances(one: dict[str, Array]) -> Array:

@@ -47,7 +47,7 @@ def gps_to_utc_ns(gps_ns: ArrayLike) -> Instants:
     A leap second has no POSIX number of its own: it gets those of the second after it. Raises
     InputError before the epoch.
     """
-    on_posix_axis = _since(gps_ns, 0, "GPS") + GPS_EPOCH_UNIX_S * NS_PER_S
+    on_posix_axis = _since(gps_ns, 0, "GPS time") + GPS_EPOCH_UNIX_S * NS_PER_S
     offsets = _offsets_s() - TAI_MINUS_GPS_S
     # Seen on the GPS axis, an offset holds from so many seconds later than its UTC midnight.
     row = np.searchsorted((_starts_s() + offsets) * NS_PER_S, on_posix_axis, side="right") - 1
@@ -56,7 +56,7 @@ def gps_to_utc_ns(gps_ns: ArrayLike) -> Instants:
 
 def utc_to_gps_ns(t_ns: ArrayLike) -> Instants:
     """Nanoseconds (N,) since the GPS epoch of POSIX nanoseconds; InputError before the epoch."""
-    posix = _since(t_ns, GPS_EPOCH_UNIX_S * NS_PER_S, "GPS")
+    posix = _since(t_ns, GPS_EPOCH_UNIX_S * NS_PER_S, "GPS time")
     offsets = _offsets_s() - TAI_MINUS_GPS_S
     row = np.searchsorted(_starts_s() * NS_PER_S, posix, side="right") - 1
     return np.asarray(posix + (offsets[row] - GPS_EPOCH_UNIX_S) * NS_PER_S, np.int64)
