@@ -11,8 +11,8 @@
 * HDT is a heading that a drive has no table for; it is counted like all other sentences.
 
 Left out and counted: lines that are no sentence or fail the checksum, GGA without a valid fix
-(quality 0) or, where others have one, without a geoid separation, fixes with an impossible
-covariance.
+(quality 0, or 6 to 8, which are not measured) or, where others have one, without a geoid
+separation, fixes with an impossible covariance.
 """
 
 from collections import Counter
@@ -45,6 +45,9 @@ UERE_M = 3.0
 """Error of one range, as the user sees it, of a single-frequency receiver under an open sky."""
 VERTICAL_RATIO = 1.5
 """Vertical to horizontal error of such a receiver: there are no satellites below."""
+
+_NOT_MEASURED = (6, 7, 8)
+"""Quality of dead reckoning, manual input and simulation: no satellites were needed for it."""
 
 _USED = ("GGA", "RMC", "GST")
 
@@ -112,7 +115,8 @@ def _places(gga: Sequence[Sentence]) -> tuple[Mask, Array, Mask]:
         )
         for one in gga
     ])  # fmt: skip
-    usable: Mask = (rows[:, 0] > 0) & np.isfinite(rows[:, 1:4]).all(-1)
+    is_fix = (rows[:, 0] > 0) & ~np.isin(rows[:, 0], _NOT_MEASURED)
+    usable: Mask = is_fix & np.isfinite(rows[:, 1:4]).all(-1)
     has_separation: Mask = usable & np.isfinite(rows[:, 4])
     places = rows[:, 1:4].copy()
     places[has_separation, 2] += rows[has_separation, 4]

@@ -44,6 +44,8 @@ class Sentence:
     def time_of_day_ns(self) -> int:
         """Field 1, hhmmss.ss, in nanoseconds; DriveError where it is none."""
         clock = self.text(1)
+        if not clock[:6].isdecimal() or len(clock) < 6:
+            raise DriveError(f"{self.where}: {self.kind} time = {clock!r} is not hhmmss.ss")
         return calendar_ns(self.where, "1970-01-01", f"{clock[:2]}:{clock[2:4]}:{clock[4:]}")
 
 

@@ -18,6 +18,7 @@ from fgloc.measurements import Array, GnssFixes
 from fgloc.timing import NS_PER_S, Instants, decimal_to_ns
 
 DAY_NS = 86_400 * NS_PER_S
+_LONGEST_MINUTE_NS = 61 * NS_PER_S  # one with a leap second
 INDEFINITE = "fixes whose covariance is not positive definite"
 """Why a fix is left out whose printed sigmas are zero or rounded to an impossible covariance."""
 
@@ -65,6 +66,8 @@ def calendar_ns(where: str, date: str, clock: str) -> int:
         midnight = datetime.strptime(date.replace("/", "-"), "%Y-%m-%d").replace(tzinfo=UTC)
         start = datetime.strptime(f"{hour}:{minute}", "%H:%M")
         within_ns = decimal_to_ns(seconds)
+        if not 0 <= within_ns < _LONGEST_MINUTE_NS:
+            raise ValueError(f"{seconds} is no second of a minute")
     except ValueError as err:
         raise DriveError(
             f"{where}: {date} {clock} is not a date and time such as 2025-07-08 19:34:04.25"

@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fgloc.config import SmoothConfig
 from fgloc.datasets import import_recording, open_drive
 from fgloc.datasets.comma2k19 import WHEEL_SIGMA_MPS, import_comma2k19
 from fgloc.errors import DriveError, InputError
 from fgloc.frames import Origin, wrap_pi
+from fgloc.sync import plan
 from fgloc.timing import iso_utc
 
 SOURCE = Path(__file__).parents[3] / "shared" / "data" / "comma2k19_example"
@@ -172,6 +174,13 @@ def test_the_samples_truth_looks_along_its_course_and_stands_upright():
     assert np.abs(np.rad2deg(wrap_pi(truth.yaw_rad - course_rad))).max() < 1.5
     v_veh = np.einsum("nji,nj->ni", truth.R_world_veh, truth.v_world_mps)
     assert abs(np.rad2deg(np.median(v_veh[:, 2] / v_veh[:, 0]))) < 0.5
+
+
+def test_steering_angles_are_kept_and_not_used():
+    drive = open_drive("comma2k19")
+    verdicts = plan(drive, SmoothConfig()).verdicts["steering"]
+    assert verdicts.counts() == {"unused": 4974}
+    assert set(verdicts.reason) == {"no steering factor in this method"}
 
 
 def test_the_samples_fixes_are_a_tenth_of_a_second_late():

@@ -104,7 +104,8 @@ def test_without_any_separation_heights_stay_above_mean_sea_level(file):
 
 def test_all_that_is_not_used_is_counted(file):
     bodies = (
-        rmc(), gga(), gga("193404.50", quality=0), gga("193404.75", lat=",", lon=","),
+        rmc(), gga(), gga("193404.50", quality=0), gga("193404.60", quality=6),
+        gga("193404.75", lat=",", lon=","),
         gga("193405.00", heights="1600.0,M,,M"), gga("193405.25", hdop=""),
         gga("193405.50"), "GNHDT,93.1,T", "GPGSV,1,1,00", "GPGSV,1,1,00",
     )  # fmt: skip
@@ -113,7 +114,7 @@ def test_all_that_is_not_used_is_counted(file):
     assert len(drive.gnss) == 1
     assert drive.about.source == (
         "log.nmea; sentences not used: GSV (2), HDT (1); left out: lines with a wrong or no "
-        "checksum (3), GGA without a valid fix (2), GGA without a geoid separation (1), "
+        "checksum (3), GGA without a valid fix (3), GGA without a geoid separation (1), "
         "fixes whose covariance is not positive definite (1)"
     )
 
@@ -132,6 +133,8 @@ def test_all_that_is_not_used_is_counted(file):
             (rmc(), gga(time="253404.25")),
             r"log.nmea:2: 1970-01-01 25:34:04.25 is not a date and time",
         ),
+        ((rmc(), gga(time="")), r"log.nmea:2: GGA time = '' is not hhmmss.ss"),
+        ((rmc(), gga(time="193461.00")), r"log.nmea:2: 1970-01-01 19:34:61.00 is not a date"),
         ((rmc(date="8725"), gga()), r"log.nmea:1: RMC date = '8725' is not ddmmyy"),
         ((rmc(date="320725"), gga()), r"log.nmea:1: 2025-07-32 00:00:00 is not a date"),
         ((rmc(), gga(hdop="low")), r"log.nmea:2: GGA HDOP = 'low' is not a number"),
