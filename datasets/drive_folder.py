@@ -12,6 +12,7 @@ from fgloc.datasets.drive_tables import (
     gnss_from_columns,
     imu_from_columns,
     origin_from_first_fix,
+    steering_from_columns,
     table_to_columns,
     wheel_from_columns,
 )
@@ -171,7 +172,10 @@ def _origin(
 def _table(stem: str, path: Path, columns: Columns, origin: Origin) -> Table:
     if stem == "gnss":
         return gnss_from_columns(path, columns, origin)
-    return {"imu": imu_from_columns, "wheel": wheel_from_columns}[stem](path, columns)
+    readers = {
+        "imu": imu_from_columns, "wheel": wheel_from_columns, "steering": steering_from_columns,
+    }  # fmt: skip
+    return readers[stem](path, columns)
 
 
 def _truth(

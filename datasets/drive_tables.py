@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.datasets.columns import Columns, Group, Layout, place
 from fgloc.datasets.trajectory_columns import (
@@ -19,7 +20,7 @@ from fgloc.datasets.trajectory_columns import (
 )
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.measurements import Array, GnssFixes, ImuSamples, Table, WheelSpeeds
+from fgloc.measurements import Array, GnssFixes, ImuSamples, SteeringAngles, Table, WheelSpeeds
 from fgloc.timing import Instants
 
 COVARIANCE = ("cov_ee_m2", "cov_en_m2", "cov_eu_m2", "cov_nn_m2", "cov_nu_m2", "cov_uu_m2")
@@ -39,6 +40,7 @@ LAYOUTS = {
     ),
     "imu": Layout((*_TIME, Group.of(*ACCEL), Group.of(*GYRO))),
     "wheel": Layout((*_TIME, Group.of("speed_mps"), Group.of("sigma_mps"))),
+    "steering": Layout((*_TIME, Group.of("angle_rad"))),
 }
 """Columns of each kind of table. `received_ns` left out means: received when it was true."""
 
@@ -56,6 +58,8 @@ def table_to_columns(table: Table) -> Columns:
         return columns | unstack(ACCEL, table.accel_mps2) | unstack(GYRO, table.gyro_radps)
     if isinstance(table, WheelSpeeds):
         return columns | {"speed_mps": table.speed_mps, "sigma_mps": table.sigma_mps}
+    if isinstance(table, SteeringAngles):
+        return columns | {"angle_rad": table.angle_rad}
     raise DriveError(f"a drive folder has no file for a table of kind {table.KIND!r}")
 
 
@@ -107,12 +111,34 @@ def wheel_from_columns(path: Path, columns: Columns) -> WheelSpeeds:
     return WheelSpeeds(*_times(columns), columns["speed_mps"], columns["sigma_mps"])
 
 
+def steering_from_columns(path: Path, columns: Columns) -> SteeringAngles:
+    """Steering wheel angles of a table read from `path`; DriveError where time goes back."""
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    return SteeringAngles(*_times(columns), columns["angle_rad"])
+
+
 def check_covariances(cov_m2: Array, where: Callable[[int], str]) -> None:
     """Raise DriveError at the first of the covariances (N, 3, 3) that cannot be one.
 
     A covariance is finite, symmetric (to 1e-9 of its diagonal) and positive definite; `where`
     names a row, counted from 0, in the message.
     """
+    for fine, fault in _covariance_checks(cov_m2):
+        if not fine.all():
+            row = int(np.argmin(fine))
+            raise DriveError(
+                f"{where(row)}: the position covariance {fault}: {_as_text(cov_m2[row])} m^2; "
+                "give what the receiver states, or remove the row"
+            )
+
+
+def is_covariance(cov_m2: Array) -> NDArray[np.bool_]:
+    """(N,) bool: which of (N, 3, 3) are finite, symmetric and positive definite."""
+    return np.logical_and.reduce([fine for fine, _ in _covariance_checks(cov_m2)])
+
+
+def _covariance_checks(cov_m2: Array) -> list[tuple[NDArray[np.bool_], str]]:
+    """For each demand on covariances (N, 3, 3), which rows meet it and what the others are."""
     variance = np.diagonal(cov_m2, axis1=-2, axis2=-1)
     finite = np.asarray(np.isfinite(cov_m2).all((-1, -2)))
     positive = np.asarray((variance > 0).all(-1))
@@ -123,18 +149,12 @@ def check_covariances(cov_m2: Array, where: Callable[[int], str]) -> None:
     skewness = np.abs(correlation - correlation.swapaxes(-1, -2)).max((-1, -2), initial=0)
     # Leading minors of the correlation matrix: the verdict does not hang on the units.
     definite = (1 - correlation[:, 0, 1] ** 2 > 0) & (np.linalg.det(correlation) > 0)
-    for fine, fault in (
+    return [
         (finite, "is not finite"),
         (positive, "has a zero or negative variance"),
-        (skewness <= _SYMMETRY_TOLERANCE, "is not symmetric"),
+        (np.asarray(skewness <= _SYMMETRY_TOLERANCE), "is not symmetric"),
         (definite, "is not positive definite"),
-    ):
-        if not fine.all():
-            row = int(np.argmin(fine))
-            raise DriveError(
-                f"{where(row)}: the position covariance {fault}: {_as_text(cov_m2[row])} m^2; "
-                "give what the receiver states, or remove the row"
-            )
+    ]
 
 
 def _as_text(matrix: Array) -> str:

@@ -1,6 +1,8 @@
 """Every drive that can be opened by name: real samples, simulated scenarios, importers."""
 
+import importlib
 import inspect
+import typing
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,10 +39,65 @@ _INFOS = (
         "plain simulated drive: GNSS 10 Hz, IMU 100 Hz, wheel speed 50 Hz; option duration_s",
     ),
     DatasetInfo(
+        "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
+        "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
+    ),
+    DatasetInfo(
+        "kitti", "real", 469.6, ("gnss", "imu"), "CC-BY-NC-SA-3.0",
+        "KITTI drive 0027 in a town, from the gtsam wheel: IMU 100 Hz, fixes 1 Hz, no truth",
+    ),
+    DatasetInfo(
         "mems-rtk", "importer", None, ("gnss", "imu"), "the source's",
         "folder with imu.csv and rtk.csv stamped with GPS seconds of the week",
     ),
+    DatasetInfo(
+        "comma2k19", "importer", None, ("gnss", "imu", "wheel", "steering"), "the source's",
+        "one-minute segment of comma2k19, as published",
+    ),
+    DatasetInfo(
+        "kitti", "importer", 469.6, ("gnss", "imu"), "CC-BY-NC-SA-3.0",
+        "the KITTI example of the gtsam wheel; takes no source",
+    ),
+    DatasetInfo(
+        "kitti-raw", "importer", None, ("gnss", "imu"), "the source's",
+        "KITTI raw folder with oxts/: fixes, IMU, and the device's own pose as truth",
+    ),
+    DatasetInfo(
+        "euroc", "importer", None, ("gnss", "imu"), "the source's",
+        "EuRoC folder with imu0/; positions and truth from TUM files (--positions, --truth)",
+    ),
+    DatasetInfo(
+        "rtklib-pos", "importer", None, ("gnss",), "the source's",
+        "RTKLIB solution file; IMU from a CSV of ours (--imu, --imu-noise)",
+    ),
+    DatasetInfo(
+        "nmea", "importer", None, ("gnss",), "the source's",
+        "NMEA-0183 log with GGA, RMC, GST; IMU from a CSV of ours (--imu, --imu-noise)",
+    ),
 )  # fmt: skip
+
+_IMPORTERS = {
+    "mems-rtk": "mems_rtk.import_mems_rtk",
+    "comma2k19": "comma2k19.import_comma2k19",
+    "kitti": "kitti.import_kitti",
+    "kitti-raw": "kitti_raw.import_kitti_raw",
+    "euroc": "euroc.import_euroc",
+    "rtklib-pos": "rtklib_pos.import_rtklib_pos",
+    "nmea": "nmea.import_nmea",
+}
+"""Module and function of each format."""
+
+_WITHOUT_FOLDER = {"kitti"}
+"""Real drives that are imported each time they are opened."""
+
+_KINDS: dict[type, tuple[str, tuple[type, ...]]] = {
+    float: ("a number", (int, float)),
+    int: ("a whole number", (int,)),
+    bool: ("true or false", (bool,)),
+    str: ("text", (str,)),
+    Path: ("a path", (str, Path)),
+}
+"""For each type that an option may have: its name for people, and what is taken for it."""
 
 
 def available() -> list[DatasetInfo]:
@@ -63,6 +120,8 @@ def open_drive(name_or_path: str | Path, /, *, seed: int | None = None, **option
         return _open_folder(Path(name_or_path), name, asks_for_scenario)
     if name in _names("scenario"):
         return make(name, DEFAULT_SEED if seed is None else seed, **options)
+    if name in _WITHOUT_FOLDER and not asks_for_scenario:
+        return import_recording(name)
     if name in _names("real"):
         return _open_folder(_REAL / name, name, asks_for_scenario)
     if Path(name).exists():
@@ -82,11 +141,22 @@ def make(name: str, /, seed: int = DEFAULT_SEED, **options: Any) -> Drive:
     return _call(_scenario(name), f"scenario {name!r}", {"seed": seed}, options)
 
 
-def import_recording(format: str, source: str | Path, /, **options: Any) -> Drive:
-    """A recording in a known format as a drive; InputError for an unknown format or option."""
+def import_recording(format: str, source: str | Path | None = None, /, **options: Any) -> Drive:
+    """A recording in a known format as a drive.
+
+    Raises InputError for an unknown format or option, or where the format wants a source and has
+    none, or the other way round.
+    """
     if format not in _names("importer"):
         raise InputError(f"no import format named {format!r}; {_nearest(format, 'importer')}")
-    return _call(_importer(format), f"format {format!r}", {"source": source}, options)
+    function = _importer(format)
+    takes_source = "source" in inspect.signature(function).parameters
+    if takes_source and source is None:
+        raise InputError(f"format {format!r} needs a source: give the path of the recording")
+    if not takes_source and source is not None:
+        raise InputError(f"format {format!r} takes no source; leave {str(source)!r} out")
+    given = {"source": source} if takes_source else {}
+    return _call(function, f"format {format!r}", given, options)
 
 
 def _scenario(name: str) -> Callable[..., Drive]:
@@ -98,9 +168,11 @@ def _scenario(name: str) -> Callable[..., Drive]:
 
 def _importer(name: str) -> Callable[..., Drive]:
     """The function that imports a format, imported when it is wanted."""
-    from fgloc.datasets.mems_rtk import import_mems_rtk
-
-    return {"mems-rtk": import_mems_rtk}[name]
+    module, _, function = _IMPORTERS[name].partition(".")
+    found: Callable[..., Drive] = getattr(
+        importlib.import_module(f"fgloc.datasets.{module}"), function
+    )
+    return found
 
 
 def _open_folder(folder: Path, name: str, asks_for_scenario: bool) -> Drive:
@@ -119,20 +191,29 @@ def _call(
     """Call with options whose names and types are checked against the function's own."""
     parameters = inspect.signature(function).parameters
     valid = [name for name in parameters if name not in given]
+    hints = typing.get_type_hints(function)
     for name, value in options.items():
         if name not in valid:
-            raise InputError(
-                f"{what} has no option {name!r}; the nearest valid name is "
-                f"{nearest(name, valid)!r} (there are: {', '.join(valid)})"
-            )
-        _check_number(what, name, value)
+            raise InputError(f"{what} has no option {name!r}; {_valid_options(name, valid)}")
+        _check_type(f"{what}: option {name} = {value!r}", value, hints[name])
     return function(**given, **options)
 
 
-def _check_number(what: str, name: str, value: Any) -> None:
-    """So far every option of every scenario and importer is a number."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{what}: option {name} = {value!r} is not a number")
+def _valid_options(name: str, valid: list[str]) -> str:
+    if not valid:
+        return "it takes none"
+    return f"the nearest valid name is {nearest(name, valid)!r} (there are: {', '.join(valid)})"
+
+
+def _check_type(what: str, value: Any, annotation: Any) -> None:
+    """Raise InputError where a value is none of those that the function's annotation names."""
+    kinds = [kind for kind in typing.get_args(annotation) or (annotation,) if kind in _KINDS]
+    # Of Python's types bool is an int; for people a truth value is no number.
+    taken = tuple(kind for one in kinds for kind in _KINDS[one][1])
+    if isinstance(value, taken) and (bool in kinds or not isinstance(value, bool)):
+        return
+    # A path is given as text anyway: what it is for people is the last and widest kind.
+    raise InputError(f"{what} is not {_KINDS[kinds[-1]][0]}")
 
 
 def _names(*kinds: str) -> list[str]:

@@ -95,26 +95,32 @@ def trajectory_from_columns(
     )
 
 
-def positions(path: Path, columns: Columns, origin: Origin | None) -> Array:
+def positions(
+    path: Path, columns: Columns, origin: Origin | None, lines: Sequence[int] | None = None
+) -> Array:
     """ENU positions (N, 3) in m from either way of writing them, checked to be on the Earth."""
     if ENU[0] in columns:
         return stack(columns, ENU)
-    check_places(path, columns)
+    check_places(path, columns, lines)
     if origin is None:
         raise DriveError(f"{path}: geodetic positions need [origin] in drive.toml")
     return origin.to_world(*(columns[name] for name in GEODETIC))
 
 
-def check_places(path: Path, columns: Columns) -> None:
-    """Raise DriveError at the first latitude, longitude or height that cannot be."""
+def check_places(path: Path, columns: Columns, lines: Sequence[int] | None = None) -> None:
+    """Raise DriveError at the first latitude, longitude or height that cannot be.
+
+    `lines` gives the line numbers (N,) where they are not those of a plain table.
+    """
     limits = (frames.LATITUDE_LIMITS_DEG, frames.LONGITUDE_LIMITS_DEG, frames.HEIGHT_LIMITS_M)
     hints = {"lat_deg": "; is it swapped with the longitude?", "height_m": "; is it in mm?"}
     for name, (low, high) in zip(GEODETIC, limits, strict=True):
         bad = (columns[name] < low) | (columns[name] > high)
         if bad.any():
             row = int(np.argmax(bad))
+            where = _place(path, row, lines)
             raise DriveError(
-                f"{place(path, row)}: {name} = {columns[name][row]} is outside [{low}, {high}]"
+                f"{where}: {name} = {columns[name][row]} is outside [{low}, {high}]"
                 + hints.get(name, "")
             )
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from fgloc.errors import ConfigError, DriveError, FglocError, InputError, SolverError
     from fgloc.evaluation.metric import Metric
     from fgloc.frames import Origin
-    from fgloc.measurements import GnssFixes, ImuSamples, WheelSpeeds
+    from fgloc.measurements import GnssFixes, ImuSamples, SteeringAngles, WheelSpeeds
     from fgloc.result import Event, Result
     from fgloc.trajectory import Trajectory
     from fgloc.verdicts import SourceVerdicts, Verdict
@@ -34,7 +34,8 @@ _HOME = {
     "DriveError": "errors", "FglocError": "errors", "InputError": "errors",
     "SolverError": "errors", "Metric": "evaluation.metric", "Origin": "frames",
     "GnssFixes": "measurements", "ImuSamples": "measurements", "WheelSpeeds": "measurements",
-    "Event": "result", "Result": "result", "Trajectory": "trajectory",
+    "SteeringAngles": "measurements", "Event": "result", "Result": "result",
+    "Trajectory": "trajectory",
     "SourceVerdicts": "verdicts", "Verdict": "verdicts",
 }  # fmt: skip
 """The module that each public name comes from."""
@@ -58,6 +59,7 @@ __all__ = [
     "SmoothConfig",
     "SolverError",
     "SourceVerdicts",
+    "SteeringAngles",
     "Trajectory",
     "Verdict",
     "WheelSpeeds",

@@ -130,5 +130,19 @@ class WheelSpeeds(Table):
     SHAPES: ClassVar = {"speed_mps": (), "sigma_mps": ()}
 
 
-TABLES: dict[str, type[Table]] = {cls.KIND: cls for cls in (GnssFixes, ImuSamples, WheelSpeeds)}
+@dataclass(frozen=True, eq=False)
+class SteeringAngles(Table):
+    """Angle of the steering wheel, rad (N,), positive to the left; the ratio to the road wheels
+    is the vehicle's.
+    """
+
+    angle_rad: Array
+
+    KIND = "steering"
+    SHAPES: ClassVar = {"angle_rad": ()}
+
+
+TABLES: dict[str, type[Table]] = {
+    cls.KIND: cls for cls in (GnssFixes, ImuSamples, WheelSpeeds, SteeringAngles)
+}
 """Every kind of table by its name, which is also the name of its source in a drive."""

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,8 +25,10 @@ VERDICT_COLUMNS = (
     "source", "t_ns", "received_ns", "verdict", "nis", "dof", "threshold", "reason",
 )  # fmt: skip
 _SUFFIXES = ("tum", "csv", "geojson")
+ALSO = ("gpx", "kml")
+"""Formats of the trajectory that are written where they are asked for."""
 FILES = (
-    *(f"{stem}.{suffix}" for stem in (TRAJECTORY, SMOOTHED) for suffix in _SUFFIXES),
+    *(f"{stem}.{suffix}" for stem in (TRAJECTORY, SMOOTHED) for suffix in (*_SUFFIXES, *ALSO)),
     SUMMARY, VERDICTS, CONFIG, REPORT,
 )  # fmt: skip
 """Everything that a result folder may hold; these are replaced when it is written again."""
@@ -49,8 +51,11 @@ def write_result(
     *,
     score_from_s: float = 0.0,
     report: bool = True,
+    also: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Write every file of a result and give back what `summary.json` holds.
+
+    `also` names formats of `ALSO` in which the trajectory is written besides.
 
     The folder is made where it is missing; files of an older result in it are replaced. Raises
     InputError where it cannot be written or holds a drive.
@@ -62,9 +67,9 @@ def write_result(
     summary = summarize(drive, result, judged, score_from_s)
     with _writing(folder):
         _clear(folder)
-        _write_trajectory(folder, TRAJECTORY, result.trajectory, drive)
+        _write_trajectory(folder, TRAJECTORY, result.trajectory, drive, also)
         if result.smoothed is not None:
-            _write_trajectory(folder, SMOOTHED, result.smoothed, drive)
+            _write_trajectory(folder, SMOOTHED, result.smoothed, drive, also)
         _write_text(folder / VERDICTS, format_verdicts(result.verdicts))
         _write_text(folder / CONFIG, format_config(drive, result))
         if report:
@@ -194,13 +199,18 @@ def _clear(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
 
 
-def _write_trajectory(folder: Path, stem: str, trajectory: Trajectory, drive: Drive) -> None:
+def _write_trajectory(
+    folder: Path, stem: str, trajectory: Trajectory, drive: Drive, also: Sequence[str]
+) -> None:
     from fgloc.datasets import trajectory_files as files
+    from fgloc.datasets.map_files import write_map
 
     origin: Origin = drive.origin
     files.write_tum(folder / f"{stem}.tum", trajectory)
     files.write_trajectory_csv(folder / f"{stem}.csv", trajectory)
     files.write_geojson(folder / f"{stem}.geojson", trajectory, origin, truth=drive.truth)
+    for suffix in also:
+        write_map(folder / f"{stem}.{suffix}", trajectory, origin, name=f"{drive.name} {stem}")
 
 
 def _write_report(path: Path, drive: Drive, result: Result, judged: Judgement | None) -> None:

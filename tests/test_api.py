@@ -16,6 +16,7 @@ from fgloc.verdicts import Verdict
 SURFACE = {
     "load", "make", "smooth", "baseline", "score", "compare",
     "Drive", "Rig", "ImuNoise", "About", "Origin", "GnssFixes", "ImuSamples", "WheelSpeeds",
+    "SteeringAngles",
     "Trajectory", "Result", "Event", "Verdict", "SourceVerdicts", "Metric", "Comparison",
     "SmoothConfig", "FglocError", "InputError", "DriveError", "ConfigError", "SolverError",
     "__version__",

@@ -190,7 +190,7 @@ def test_degrade_smooth_explain(run, tmp_path):
 def test_a_causal_mode_with_its_smoothed_states(run, city, tmp_path):
     out = tmp_path / "lag"
     status, text, _ = run("smooth", city, "--mode", "fixed-lag", "--lag", "4", "--smoothed",
-                          "--out", out, "--score-from", "15")  # fmt: skip
+                          "--out", out, "--score-from", "15", "--also", "gpx,kml")  # fmt: skip
     assert status == 0 and "causal, no look-ahead" in text and "which looks ahead" in text
     assert {path.name for path in out.iterdir()} == set(FILES)
     summary = json.loads((out / "summary.json").read_text())
@@ -276,7 +276,7 @@ def test_drives_tell_of_themselves_in_json(run, city, tmp_path, monkeypatch):
     status, text, _ = run("import", "mems-rtk", source, "--out", "new", "--json")
     assert status == 0 and json.loads(text) == {
         "drive": "mems-rtk", "folder": "new", "duration_s": 0.0, "rows": {"gnss": 1, "imu": 1},
-        "truth_rows": 0,
+        "truth_rows": 0, "source": read_drive("new").about.source,
     }  # fmt: skip
 
 
@@ -286,6 +286,54 @@ def test_import_and_datasets(run, refuse, tmp_path):
     assert {row["name"] for row in json.loads(run("datasets", "--json")[1])["datasets"]} >= {"city"}
     assert "no such file" in refuse("import", "mems-rtk", tmp_path, "--out", tmp_path / "a")
     assert "the nearest is 'mems-rtk'" in refuse("import", "mems", tmp_path, "--out", tmp_path)
+
+
+def test_an_import_says_what_was_left_out(run, refuse, tmp_path):
+    status, text, _ = run("import", "kitti", "--out", tmp_path / "kitti")
+    assert status == 0 and "left out: IMU rows without a usable interval (2)" in text
+    assert "left out" in (tmp_path / "kitti" / "drive.toml").read_text()
+    assert "takes no source" in refuse("import", "kitti", "x", "--out", tmp_path / "b")
+    assert "needs a source" in refuse("import", "nmea", "--out", tmp_path / "b")
+
+
+def test_a_position_log_with_an_imu_beside_it_can_be_smoothed(run, refuse, city, tmp_path):
+    drive = read_drive(city)
+    lines = ["%  UTC latitude(deg) longitude(deg) height(m) Q sdn(m) sde(m) sdu(m) "
+             "sdne(m) sdeu(m) sdun(m)"]  # fmt: skip
+    places = drive.origin.to_geodetic(drive.gnss.p_world_ant_m)
+    sigmas = np.sqrt(np.diagonal(drive.gnss.cov_world_m2, axis1=1, axis2=2))
+    for t_ns, place, (east, north, up) in zip(drive.gnss.t_ns, places, sigmas, strict=True):
+        stamp = str(np.datetime64(int(t_ns), "ns")).replace("-", "/").replace("T", " ")
+        lat, lon, height = place
+        lines.append(f"{stamp} {lat:.10f} {lon:.10f} {height:.4f} 1 {north} {east} {up} 0 0 0")
+    (tmp_path / "rover.pos").write_text("\n".join(lines) + "\n")
+    noise = drive.rig.imu_noise
+    (tmp_path / "imu.yaml").write_text(
+        f"accelerometer_noise_density: {noise.accel_noise_mps2_per_sqrt_hz}\n"
+        f"accelerometer_random_walk: {noise.accel_bias_walk_mps3_per_sqrt_hz}\n"
+        f"gyroscope_noise_density: {noise.gyro_noise_radps_per_sqrt_hz}\n"
+        f"gyroscope_random_walk: {noise.gyro_bias_walk_radps2_per_sqrt_hz}\n"
+    )
+    files = "--imu", city / "imu.csv", "--imu-noise", tmp_path / "imu.yaml"
+    out = tmp_path / "imported"
+    arguments = "import", "rtklib-pos", tmp_path / "rover.pos"
+    assert "imu is given without imu_noise" in refuse(*arguments, *files[:2], "--out", out)
+    assert "--set imu and the option of that name" in run(
+        *arguments, *files, "--set", "imu=x", "--out", out
+    )[2]  # fmt: skip
+    assert run(*arguments, *files, "--out", out)[0] == 0
+    imported = read_drive(out)
+    np.testing.assert_array_equal(imported.gnss.t_ns, drive.gnss.t_ns)
+    assert imported.imu.same_as(drive.imu)
+    status, text, _ = run("smooth", out, "--out", tmp_path / "result", "--no-report", "--json",
+                          "--set", "solver.max_iterations=30", "--also", "kml")  # fmt: skip
+    assert status == 0, text
+    assert (tmp_path / "result" / "trajectory.kml").is_file()
+
+
+def test_other_formats_than_gpx_and_kml_are_refused(run, city, tmp_path):
+    status, _, err = run("smooth", city, "--out", tmp_path / "a", "--also", "gpx,shp")
+    assert status == 2 and "'shp' is none of gpx, kml" in err
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from fgloc.errors import DriveError
-from fgloc.measurements import TABLES, GnssFixes, ImuSamples, WheelSpeeds, freeze
+from fgloc.measurements import (
+    TABLES,
+    GnssFixes,
+    ImuSamples,
+    SteeringAngles,
+    WheelSpeeds,
+    freeze,
+)
 
 INT64 = np.iinfo(np.int64)
 
@@ -25,7 +32,9 @@ def gnss(n: int = 2) -> GnssFixes:
 
 
 def test_every_kind_of_table_is_known_by_its_name():
-    assert {"gnss": GnssFixes, "imu": ImuSamples, "wheel": WheelSpeeds} == TABLES
+    assert {
+        "gnss": GnssFixes, "imu": ImuSamples, "wheel": WheelSpeeds, "steering": SteeringAngles,
+    } == TABLES  # fmt: skip
 
 
 def test_lists_become_arrays_of_the_right_type():

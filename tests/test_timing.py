@@ -8,15 +8,20 @@ from hypothesis import strategies as st
 from fgloc.errors import InputError
 from fgloc.timing import (
     GPS_EPOCH_UNIX_S,
+    LEAP_TABLE_EXPIRES_UNIX_S,
     NS_PER_S,
     WEEK_S,
     decimal_to_ns,
     elapsed_s,
     gps_minus_utc_s,
+    gps_to_utc_ns,
     gps_week_to_ns,
     iso_utc,
     ns_to_decimal,
     seconds_to_ns,
+    tai_to_utc_ns,
+    utc_to_gps_ns,
+    utc_to_tai_ns,
 )
 
 INT64 = st.integers(-(2**63), 2**63 - 1)
@@ -64,6 +69,61 @@ def test_gps_stamps_around_a_leap_second_lie_on_their_own_side_of_it(date, offse
     # One GPS second earlier is the leap second itself, 23:59:60, which POSIX gives no number of
     # its own; two earlier is 23:59:59.
     assert gps_week_to_ns(week, sow_s - 2.0) == (unix_s(date) - 1) * NS_PER_S
+
+
+SINCE_GPS = st.integers(GPS_EPOCH_UNIX_S * NS_PER_S, 2**62)
+
+
+@pytest.mark.parametrize(
+    ("utc", "gps_s", "tai_s"),
+    [
+        ("1980-01-06T00:00:00", 0, 315_964_819),
+        ("2016-12-31T23:59:59", 1_167_264_016, 1_483_228_835),
+        ("2017-01-01T00:00:00", 1_167_264_018, 1_483_228_837),
+        ("2025-07-08T19:34:04", 1_436_038_462, 1_752_003_281),
+    ],
+)
+def test_known_instants_on_all_three_scales(utc, gps_s, tai_s):
+    posix_ns = int(np.datetime64(utc, "ns").astype(np.int64))
+    assert utc_to_gps_ns(posix_ns) == gps_s * NS_PER_S
+    assert utc_to_tai_ns(posix_ns) == tai_s * NS_PER_S
+    assert gps_to_utc_ns(gps_s * NS_PER_S) == posix_ns
+    assert tai_to_utc_ns(tai_s * NS_PER_S) == posix_ns
+
+
+def test_the_leap_second_of_2016_has_the_numbers_of_the_second_after_it():
+    inside, after = 1_167_264_017_250_000_000, 1_167_264_018_250_000_000
+    assert gps_to_utc_ns(inside) == gps_to_utc_ns(after) == 1_483_228_800_250_000_000
+
+
+@given(SINCE_GPS)
+def test_utc_to_gps_or_tai_and_back_is_the_same_instant(t_ns):
+    assert gps_to_utc_ns(utc_to_gps_ns(t_ns)) == t_ns
+    assert tai_to_utc_ns(utc_to_tai_ns(t_ns)) == t_ns
+
+
+@given(SINCE_GPS)
+def test_tai_is_nineteen_seconds_ahead_of_gps_always(t_ns):
+    assert utc_to_tai_ns(t_ns) - utc_to_gps_ns(t_ns) == (GPS_EPOCH_UNIX_S + 19) * NS_PER_S
+
+
+@pytest.mark.parametrize(
+    ("convert", "stamp"),
+    [(gps_to_utc_ns, -1), (utc_to_gps_ns, GPS_EPOCH_UNIX_S * NS_PER_S - 1),
+     (tai_to_utc_ns, 0), (utc_to_tai_ns, 0)],
+)  # fmt: skip
+def test_no_conversion_before_the_table_begins(convert, stamp):
+    with pytest.raises(InputError, match=r"ns lies before .* began \(1980-01-06\)"):
+        convert([stamp])
+
+
+def test_stamps_that_are_floats_are_refused():
+    with pytest.raises(InputError, match="float64: give whole nanoseconds"):
+        gps_to_utc_ns([1e9])
+
+
+def test_the_table_of_leap_seconds_says_until_when_it_holds():
+    assert unix_s("2026-06-28") == LEAP_TABLE_EXPIRES_UNIX_S
 
 
 def test_seconds_of_week_with_six_decimals_are_exact_to_the_nanosecond():

@@ -74,26 +74,31 @@ def make(
     cls=Command, name="import", epilog="Example: fgloc import mems-rtk drive_0708 --out mems"
 )
 @click.argument("format_", metavar="FORMAT")
-@click.argument("source", metavar="SOURCE")
+@click.argument("source", metavar="[SOURCE]", required=False)
+@options.import_files
 @options.settings
 @options.out_drive
 @options.as_json
 def import_drive(
-    format_: str, source: str, settings: tuple[str, ...], out: Path, overwrite: bool,
-    as_json: bool,
+    format_: str, source: str | None, imu: str | None, imu_noise: str | None,
+    positions: str | None, truth: str | None, settings: tuple[str, ...], out: Path,
+    overwrite: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Turn a recording into a drive folder.
 
-    fgloc datasets lists the formats.
+    fgloc datasets lists the formats, the README their options. What cannot be used is left out
+    and counted.
     """
     from fgloc.datasets import import_recording
 
-    options.check_settings(settings)
+    files = {"imu": imu, "imu_noise": imu_noise, "positions": positions, "truth": truth}
+    options.check_settings(settings, **files)
     chosen = options.parse_settings(settings)
-    with working(f"importing {source}"):
+    chosen |= {name: path for name, path in files.items() if path is not None}
+    with working(f"importing {source or format_}"):
         drive = import_recording(format_, source, **chosen)
         _write(drive, out, overwrite)
-    _tell(drive, out, as_json)
+    _tell(drive, out, as_json, source=drive.about.source)
 
 
 @click.command(
@@ -149,17 +154,19 @@ def _write(drive: "Drive", folder: Path, overwrite: bool) -> None:
     write_drive(drive, folder, overwrite=overwrite)
 
 
-def _tell(drive: "Drive", folder: Path, as_json: bool) -> None:
-    """Say what was written and where."""
+def _tell(drive: "Drive", folder: Path, as_json: bool, **more: str) -> None:
+    """Say what was written and where; `more` is said after the counts."""
     rows = {name: len(table) for name, table in drive.tables.items()}
     truth = 0 if drive.truth is None else len(drive.truth)
     duration_s = (drive.end_ns - drive.start_ns) / 1e9
     if as_json:
         print_json({
             "drive": drive.name, "folder": str(folder), "duration_s": duration_s, "rows": rows,
-            "truth_rows": truth,
+            "truth_rows": truth, **more,
         })  # fmt: skip
         return
     counts = ", ".join(f"{n:,} {name}" for name, n in {**rows, "truth": truth}.items())
     say(f"{drive.name}: {duration_s:g} s; rows: {counts}")
+    for name, text in more.items():
+        say(f"{name}: {text}")
     say(f"Drive written to {folder}")

@@ -74,6 +74,22 @@ class Setting(click.ParamType):
         return str(value)
 
 
+class Choices(click.ParamType):
+    """Some of a few words, with commas between."""
+
+    def __init__(self, *words: str) -> None:
+        self.name, self.words = ",".join(words), words
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
+        given = value if isinstance(value, tuple) else tuple(value.split(","))
+        for word in given:
+            if word not in self.words:
+                self.fail(f"{word!r} is none of {', '.join(self.words)}", param, ctx)
+        return tuple(dict.fromkeys(given))
+
+
 def check_settings(settings: tuple[str, ...], **given: Any) -> None:
     """Refuse a setting that is there twice, or once more as an option of its own."""
     keys = [setting.partition("=")[0].strip() for setting in settings]
@@ -119,6 +135,12 @@ out_dir = out("DIR", "Folder for the results; made where it is missing.")
 seed = click.option(
     "--seed", type=click.IntRange(min=0), metavar="N", help="Seed of a scenario given by name."
 )
+import_files = with_options(
+    click.option("--imu", metavar="FILE", help="IMU beside the fixes: CSV as a drive's imu.csv."),
+    click.option("--imu-noise", metavar="FILE", help="Noise of the IMU: imu.yaml of Kalibr."),
+    click.option("--positions", metavar="FILE", help="Trajectory (TUM) that is measured."),
+    click.option("--truth", metavar="FILE", help="Trajectory (TUM) that is the truth."),
+)
 settings = click.option(
     "--set", "settings", type=Setting(), multiple=True, metavar="KEY=VALUE",
     help="One option more, by name; may be given several times.",
@@ -126,6 +148,10 @@ settings = click.option(
 score_from = click.option(
     "--score-from", "score_from_s", type=Seconds(), default=0.0, metavar="S",
     help="Score from so many seconds after the estimate's start on.",
+)  # fmt: skip
+also = click.option(
+    "--also", type=Choices("gpx", "kml"), default=(), metavar="gpx,kml",
+    help="Write the trajectory in these formats as well.",
 )  # fmt: skip
 no_report = click.option("--no-report", is_flag=True, help="Leave report.html out.")
 as_json = click.option(

@@ -44,12 +44,13 @@ Examples:
 )
 @options.seed
 @options.score_from
+@options.also
 @options.no_report
 @options.as_json
 def smooth(
     drive: str, out: Path, mode: Any, lag_s: float | None, config: Path | None,
     settings: tuple[str, ...], smoothed: bool, seed: int | None, score_from_s: float,
-    no_report: bool, as_json: bool,
+    also: tuple[str, ...], no_report: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Estimate by the factor graph.
 
@@ -69,7 +70,7 @@ def smooth(
 
         result = run(opened, in_force)
         summary = outputs.write_result(
-            out, opened, result, score_from_s=score_from_s, report=not no_report
+            out, opened, result, score_from_s=score_from_s, report=not no_report, also=also
         )
     _tell(summary, out, as_json)
 
@@ -80,11 +81,12 @@ def smooth(
 @options.out_dir
 @options.seed
 @options.score_from
+@options.also
 @options.no_report
 @options.as_json
 def baseline(
-    drive: str, method: str, out: Path, seed: int | None, score_from_s: float, no_report: bool,
-    as_json: bool,
+    drive: str, method: str, out: Path, seed: int | None, score_from_s: float,
+    also: tuple[str, ...], no_report: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Estimate by a documented filter.
 
@@ -98,7 +100,7 @@ def baseline(
         opened = api.load(drive, seed=seed)
         result = baselines.run(opened, method)
         summary = outputs.write_result(
-            out, opened, result, score_from_s=score_from_s, report=not no_report
+            out, opened, result, score_from_s=score_from_s, report=not no_report, also=also
         )
     _tell(summary, out, as_json)
 

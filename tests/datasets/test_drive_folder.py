@@ -12,7 +12,7 @@ from fgloc.datasets.drive_tables import check_covariances
 from fgloc.drive import Drive, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.measurements import GnssFixes, WheelSpeeds
+from fgloc.measurements import GnssFixes, SteeringAngles, WheelSpeeds
 
 TOML = 'format = 1\nname = "small"\n[origin]\nlat_deg = 50.0\nlon_deg = 8.0\nheight_m = 100.0\n'
 GNSS = (
@@ -80,7 +80,10 @@ def full_drive() -> Drive:
     truth = dataclasses.replace(
         drive.truth, cov=(cov6 + cov6.swapaxes(-1, -2)) / 2, p_veh_point_m=np.array([0.1, -0.0, 2])
     )
-    return dataclasses.replace(drive.with_tables(gnss=fixes), truth=truth)
+    steering = SteeringAngles(
+        drive.imu.t_ns, drive.imu.t_ns + 7, rng.standard_normal(len(drive.imu))
+    )
+    return dataclasses.replace(drive.with_tables(gnss=fixes, steering=steering), truth=truth)
 
 
 @pytest.mark.parametrize("parquet", [False, True])
@@ -286,7 +289,8 @@ def test_a_folder_without_drive_toml_is_told(tmp_path):
 def test_a_folder_without_tables_is_told(small):
     folder = small()
     (folder / "gnss.csv").unlink()
-    assert fault(folder) == "small: has none of the tables gnss.csv, imu.csv, wheel.csv"
+    tables = "gnss.csv, imu.csv, wheel.csv, steering.csv"
+    assert fault(folder) == f"small: has none of the tables {tables}"
 
 
 def test_a_drive_is_not_written_over_another_unless_told(tmp_path):
@@ -315,7 +319,8 @@ def test_nothing_is_written_of_a_drive_that_could_not_be_read(tmp_path):
 
 def test_a_table_under_a_foreign_name_is_not_written(tmp_path):
     drive = make_city(1, 1.0)
-    with pytest.raises(DriveError, match="no file for source 'gnss2'; known: gnss, imu, wheel"):
+    says = "no file for source 'gnss2'; known: gnss, imu, wheel, steering"
+    with pytest.raises(DriveError, match=says):
         write_drive(drive.with_tables(gnss2=drive.gnss), tmp_path / "drive")
 
 

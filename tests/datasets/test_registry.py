@@ -76,6 +76,52 @@ def test_unknown_names_bring_the_nearest_one():
         make("city", 1, duration_s="long")
 
 
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"sigma_up_m": "high"}, "option sigma_up_m = 'high' is not a number"),
+        ({"sigma_up_m": True}, "option sigma_up_m = True is not a number"),
+    ],
+)
+def test_an_option_that_is_a_number_takes_no_other_type(options, says):
+    with pytest.raises(InputError, match=says):
+        import_recording("comma2k19", ".", **options)
+
+
+@pytest.mark.parametrize(
+    ("format", "options", "says"),
+    [
+        ("kitti-raw", {"use_truth": 1}, "option use_truth = 1 is not true or false"),
+        ("nmea", {"date": 20250708}, "option date = 20250708 is not text"),
+        ("nmea", {"imu": 5}, "option imu = 5 is not a path"),
+        ("mems-rtk", {"gps_week": 2374.5}, "option gps_week = 2374.5 is not a whole number"),
+        ("rtklib-pos", {"worst_quality": "fix"}, "worst_quality = 'fix' is not a whole number"),
+    ],
+)
+def test_options_have_the_types_that_their_function_names(format, options, says):
+    with pytest.raises(InputError, match=says):
+        import_recording(format, ".", **options)
+
+
+def test_a_format_wants_its_source_or_none():
+    with pytest.raises(InputError, match="format 'nmea' needs a source"):
+        import_recording("nmea")
+    with pytest.raises(InputError, match="format 'kitti' takes no source; leave 'here' out"):
+        import_recording("kitti", "here")
+    with pytest.raises(InputError, match="format 'kitti' has no option 'x'; it takes none"):
+        import_recording("kitti", x=1)
+
+
+def test_every_importer_is_listed_and_can_be_called():
+    listed = {info.name for info in available() if info.kind == "importer"}
+    assert listed == {
+        "mems-rtk", "comma2k19", "kitti", "kitti-raw", "euroc", "rtklib-pos", "nmea",
+    }  # fmt: skip
+    for name in listed - {"kitti"}:
+        with pytest.raises(InputError, match=r"no such file|name a TUM|has neither|holds no"):
+            import_recording(name, "/nowhere")
+
+
 @pytest.mark.parametrize("name", ["name", "scenario", "name_or_path", "drive", "function"])
 def test_names_of_parameters_are_no_options_of_a_scenario(name):
     says = rf"scenario 'city' has no option '{name}'; .* \(there are: duration_s\)"
