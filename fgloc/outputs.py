@@ -12,7 +12,7 @@ import numpy as np
 
 from fgloc.drive import Drive
 from fgloc.errors import InputError
-from fgloc.evaluation import Judgement, judge
+from fgloc.evaluation import Judgement, judge, requirements
 from fgloc.frames import Origin
 from fgloc.result import Event, Result
 from fgloc.timing import NS_PER_S
@@ -131,9 +131,11 @@ def summarize(
     }
     if judged is not None:
         summary |= {"score_from_s": score_from_s, "metrics": _plain_metrics(judged)}
+        summary["requirements"] = requirements.as_dict(judged.requirements)
     if drive.truth is not None and result.smoothed is not None:
         smoothed = judge(result, drive.truth, score_from_s=score_from_s, smoothed=True)
         summary["smoothed_metrics"] = _plain_metrics(smoothed)
+        summary["smoothed_requirements"] = requirements.as_dict(smoothed.requirements)
     clean: dict[str, Any] = jsonable(summary)
     return clean
 

@@ -125,6 +125,21 @@ def test_summary_holds_what_the_contract_names(mems):
     assert summary["metrics"]["horizontal_rmse_m"]["value"] < 0.05
 
 
+def test_requirements_are_judged_by_smooth_and_eval_alike(mems, run, tmp_path):
+    out, done = mems
+    summary = json.loads((out / "summary.json").read_text())
+    freeway = summary["requirements"]["freeway"]
+    assert freeway["accuracy95"]["lateral_m"]["answer"] == "yes"
+    assert {row["answer"] for row in freeway["alert"].values()} == {"not enough data"}
+    assert re.search(r"^Freeway +yes: lateral", done.stdout, re.MULTILINE)
+    _, text, _ = run("eval", out, "mems-rtk", "--json")
+    again = json.loads(text)["requirements"]["freeway"]["accuracy95"]["lateral_m"]
+    assert again["answer"] == "yes"
+    assert again["value"] == pytest.approx(freeway["accuracy95"]["lateral_m"]["value"], rel=1e-9)
+    assert "alert limits" in run("eval", out, "mems-rtk", "--out", tmp_path)[1]
+    assert "requirements" in json.loads((tmp_path / "summary.json").read_text())
+
+
 def test_trajectories_read_back(mems):
     out, _ = mems
     from_csv, from_tum = (read_trajectory(out / f"trajectory.{kind}") for kind in ("csv", "tum"))
