@@ -22,7 +22,9 @@ from fgloc.errors import SolverError
 from fgloc.outputs import FILES, VERDICT_COLUMNS, format_verdicts
 from fgloc.verdicts import SourceVerdicts, Verdict
 
-COMMANDS = ("datasets", "make", "import", "degrade", "smooth", "baseline", "eval", "explain")
+COMMANDS = (
+    "datasets", "make", "import", "degrade", "smooth", "baseline", "compare", "eval", "explain",
+)  # fmt: skip
 METRICS = {
     "horizontal_rmse_m", "horizontal_mean_m", "horizontal_std_m", "horizontal_p95_m",
     "horizontal_max_m", "lateral_rmse_m", "longitudinal_rmse_m", "lateral_mean_abs_m",
@@ -350,6 +352,12 @@ def test_as_a_module():
         (["degrade", "mems-rtk", "--seed", "1", "--out", "x"], "--seed goes with --noise"),
         (["degrade", "mems-rtk", "--source", "imu", "--out", "x"], "'imu' is not 'gnss'"),
         (["explain", "x"], "Missing option '--t'"),
+        (["compare", "city", "--out", "x"], "give --methods, --config or both"),
+        (["compare", "--methods", "graph-batch", "--out", "x"], "Missing argument 'DRIVE...'"),
+        (["compare", "city", "--methods", "a", "--seeds", "5:5", "--out", "x"], "holds no seed"),
+        (["compare", "city", "--methods", "a", "--seeds", "-1", "--out", "x"], "FIRST:END"),
+        (["compare", "city", "--config", "plain.toml", "--out", "x"], "of the form LABEL=FILE"),
+        (["compare", "city", "--config", "a=b", "--config", "a=c", "--out", "x"], "given twice"),
     ],
 )
 def test_wrong_usage(run, tmp_path, monkeypatch, arguments, says):
