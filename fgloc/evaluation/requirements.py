@@ -103,29 +103,49 @@ class Requirement:
         return {k: v for k, v in values.items() if k not in names and v is not None}
 
 
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What a column of errors says, whatever is required of it.
+
+    x            (N,) absolute errors, m or rad; `n_effective` independent ones they are worth
+    low, high    interval of their 95 % figure `p95`
+    hours        scored time
+    """
+
+    x: Array
+    n_effective: int
+    p95: float
+    low: float | None
+    high: float | None
+    hours: float
+
+
 def judge_requirements(errors: Errors) -> tuple[Requirement, ...]:
-    """Every requirement of every profile: 95 % accuracy first, then the alert limits."""
+    """Every requirement of every profile; one that cannot be judged says why."""
+    evidence = {column: _evidence(errors, column) for column in PROFILES[0].accuracy95}
     return tuple(
-        judge_one(errors, profile.name, kind, column, limit)
+        _judge_one(errors, evidence[column], profile.name, kind, column, limit)
         for profile in PROFILES
         for kind, limits in ((ACCURACY, profile.accuracy95), (ALERT, profile.alert))
         for column, limit in limits.items()
     )
 
 
-def judge_one(e: Errors, profile: str, kind: str, column: str, limit: float) -> Requirement:
-    """One requirement; where it cannot be judged, `why` says the reason."""
-    x = np.abs(getattr(e, column))
-    known = np.isfinite(x)
+def _judge_one(
+    e: Errors, found: Evidence | None, profile: str, kind: str, column: str, limit: float
+) -> Requirement:
     named: dict[str, Any] = {"profile": profile, "kind": kind, "column": column, "limit": limit}
-    if not known.any():
+    if found is None:
         why = "no truth row could be scored" if len(e) == 0 else e.why.get(column, "")
         return Requirement(answer=Answer.OPEN, why=why, **named)
-    judged = (_accuracy if kind == ACCURACY else _alert)(x[known], e.t_ns[known], limit)
+    judged = (_accuracy if kind == ACCURACY else _alert)(found, limit)
     if column == "yaw_rad" and e.course_based:
         why = "the truth has no attitude; its course is not the heading, and noisy"
         judged |= {"answer": Answer.OPEN, "why": why}
-    return Requirement(**named, **judged)
+    return Requirement(
+        n=len(found.x), n_effective=found.n_effective, beyond=int((found.x > limit).sum()),
+        hours=found.hours, **named, **judged,
+    )  # fmt: skip
 
 
 def quantile_interval(
@@ -160,45 +180,50 @@ def as_dict(found: tuple[Requirement, ...]) -> dict[str, Any]:
     return plain
 
 
-def _accuracy(x: Array, t_ns: Instants, limit: float) -> dict[str, Any]:
-    """The 95 % figure with its interval, and which side of the limit that lies on."""
-    n = max(int(effective_samples(x)), 1)
-    low, high = quantile_interval(x, n)
-    answer, why = Answer.OPEN, f"worth {n:,} independent errors, too few for a bound"
-    if low is not None and low > limit:
+def _evidence(e: Errors, column: str) -> Evidence | None:
+    """Of a column of errors; None where nothing in it is known."""
+    x = np.abs(getattr(e, column))
+    known = np.isfinite(x)
+    if not known.any():
+        return None
+    x, n = x[known], max(int(effective_samples(x[known])), 1)
+    p95 = float(np.quantile(x, SHARE))
+    return Evidence(x, n, p95, *quantile_interval(x, n), _hours(e.t_ns[known]))
+
+
+def _accuracy(found: Evidence, limit: float) -> dict[str, Any]:
+    """Which side of the limit the interval of the 95 % figure lies on."""
+    answer, why = Answer.OPEN, "the limit lies inside the confidence interval"
+    if found.low is not None and found.low > limit:
         answer, why = Answer.NO, "the lower confidence limit is above"
-    elif high is not None and high <= limit:
+    elif found.high is None:
+        why = f"worth {found.n_effective:,} independent errors, too few for a bound"
+    elif found.high <= limit:
         answer, why = Answer.YES, "the upper confidence limit is below"
-    elif high is not None:
-        why = "the limit lies inside the confidence interval"
     return {
-        "answer": answer, "why": why, "value": float(np.quantile(x, SHARE)), "low": low,
-        "high": high, "n": len(x), "n_effective": n, "beyond": int((x > limit).sum()),
-        "hours": _hours(t_ns),
+        "answer": answer, "why": why, "value": found.p95, "low": found.low, "high": found.high,
     }  # fmt: skip
 
 
-def _alert(x: Array, t_ns: Instants, limit: float) -> dict[str, Any]:
+def _alert(found: Evidence, limit: float) -> dict[str, Any]:
     """Whether an error exceeds the limit; if none does, what rate of exceedances is excluded."""
-    beyond, hours = int((x > limit).sum()), _hours(t_ns)
-    found = {
-        "value": float(x.max()), "n": len(x), "n_effective": max(int(effective_samples(x)), 1),
-        "beyond": beyond, "hours": hours,
-    }  # fmt: skip
+    beyond, n, value = int((found.x > limit).sum()), len(found.x), float(found.x.max())
     if beyond:
-        return found | {"answer": Answer.NO, "why": f"{beyond:,} of {len(x):,} errors exceed it"}
+        why = f"{beyond:,} of {n:,} errors exceed it"
+        return {"answer": Answer.NO, "why": why, "value": value}
     # No event in so many hours: the 'rule of three', about 3 / hours at 95 %.
-    rate = -math.log(1 - CONFIDENCE) / hours if hours > 0 else None
+    rate = -math.log(1 - CONFIDENCE) / found.hours if found.hours > 0 else None
     excluded = "" if rate is None else f", so less than {rate:.2g} an hour"
     asked = f"asked is one in {1 / INTEGRITY_PER_H:,.0f} h"
-    why = f"none exceeds it in {hours:.2g} h{excluded}; {asked}"
-    return found | {"answer": Answer.OPEN, "why": why, "rate_high_per_h": rate}
+    why = f"none exceeds it in {found.hours:.2g} h{excluded}; {asked}"
+    return {"answer": Answer.OPEN, "why": why, "value": value, "rate_high_per_h": rate}
 
 
 def _hours(t_ns: Instants) -> float:
     """Time that the scored instants cover; what is left out between them does not count."""
     steps_s = np.diff(t_ns) / NS_PER_S
-    return float(steps_s[steps_s <= MAX_GAP_S].sum()) / 3600
+    longest_s = max(MAX_GAP_S, 1.5 * float(np.median(steps_s))) if len(steps_s) else 0.0
+    return float(steps_s[steps_s <= longest_s].sum()) / 3600
 
 
 def _binomial_cdf(n: int, p: float) -> Array:

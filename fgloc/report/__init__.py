@@ -161,7 +161,7 @@ _PROTECTION_CAPTION = (
     "system would have said that it is not available; right of one and below it a limit was "
     "exceeded unwarned. The sigmas are Gaussian claims of the estimate, of which a drive tests "
     "only the bulk: this is no certified bound of integrity, and a level that holds here may "
-    "fail in rarer conditions."
+    "fail in rarer conditions. What lies outside the axes is drawn at their ends."
 )
 
 

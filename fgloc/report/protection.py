@@ -39,7 +39,7 @@ _SIGMA_OF = {
 _LINES = ((VERMILLION, "dash", "bottom"), (ORANGE, "dot", "top"))
 """Colour and dash of each road's limit, and which end of its name stands at the line."""
 _BINS_PER_DECADE = 12
-_SMALLEST_M = 1e-3
+_SMALLEST_M, _LARGEST_M = 1e-3, 1e4
 _SCALE = [[0, "#c6dff0"], [0.5, "#4a9acb"], [1, "#003a5d"]]
 _HOVER = "error %{x:.3g} m, level %{y:.3g} m<br>%{customdata:,} instants<extra></extra>"
 
@@ -71,7 +71,7 @@ def _misleading(error: Array, level: Array) -> str:
 def _panel(column: str, error: Array, level: Array) -> Spec:
     """The diagram of one quantity: how many instants fall into each cell, limits, diagonal."""
     limits = {p.name: p.alert[column] for p in PROFILES if column in p.alert}
-    edges = _edges(error, level, max(limits.values()))
+    edges = _edges(error, level, list(limits.values()))
     low, high = float(edges[0]), float(edges[-1])
     exponents = list(range(round(np.log10(low)), round(np.log10(high)) + 1))
     ticks = {
@@ -96,16 +96,17 @@ def _panel(column: str, error: Array, level: Array) -> Spec:
     return {"data": data, "layout": spec}
 
 
-def _edges(error: Array, level: Array, limit: float) -> Array:
-    """Edges of cells over whole decades that hold all levels, the limits and nearly all errors."""
-    smallest = max(min(float(np.quantile(error, 0.05)), float(level.min())), _SMALLEST_M)
-    largest = max(float(error.max()), float(level.max()), limit)
+def _edges(error: Array, level: Array, limits: list[float]) -> Array:
+    """Edges of cells over whole decades, from 1 mm to 10 km at most, that hold nearly all."""
+    smallest = min(float(np.quantile(error, 0.05)), float(level.min()), *limits)
+    smallest = max(smallest, _SMALLEST_M)
+    largest = min(max(float(error.max()), float(level.max()), *limits), _LARGEST_M)
     first, last = int(np.floor(np.log10(smallest))), int(np.ceil(np.log10(largest)))
     return 10.0 ** np.linspace(first, last, (last - first) * _BINS_PER_DECADE + 1)
 
 
 def _cells(error: Array, level: Array, edges: Array) -> Spec:
-    """Counts per cell; what is smaller than the first edge is drawn at the margin."""
+    """Counts per cell; what lies outside the edges is drawn at the margin."""
     inside = np.nextafter(edges[0], edges[1]), np.nextafter(edges[-1], edges[0])
     counts, _, _ = np.histogram2d(np.clip(level, *inside), np.clip(error, *inside), [edges, edges])
     shade = np.log10(np.where(counts > 0, counts, np.nan))
