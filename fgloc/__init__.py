@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fgloc.api import baseline, compare, load, make, score, smooth
-    from fgloc.comparison import Comparison
     from fgloc.config import SmoothConfig
     from fgloc.drive import About, Drive, ImuNoise, Rig
     from fgloc.errors import ConfigError, DriveError, FglocError, InputError, SolverError
+    from fgloc.evaluation.comparison import Comparison, Method
     from fgloc.evaluation.metric import Metric
     from fgloc.frames import Origin
     from fgloc.measurements import GnssFixes, ImuSamples, SteeringAngles, WheelSpeeds
@@ -29,10 +29,11 @@ if TYPE_CHECKING:
 
 _HOME = {
     "baseline": "api", "compare": "api", "load": "api", "make": "api", "score": "api",
-    "smooth": "api", "Comparison": "comparison", "SmoothConfig": "config", "About": "drive",
+    "smooth": "api", "Comparison": "evaluation.comparison", "Method": "evaluation.comparison",
+    "Metric": "evaluation.metric", "SmoothConfig": "config", "About": "drive",
     "Drive": "drive", "ImuNoise": "drive", "Rig": "drive", "ConfigError": "errors",
     "DriveError": "errors", "FglocError": "errors", "InputError": "errors",
-    "SolverError": "errors", "Metric": "evaluation.metric", "Origin": "frames",
+    "SolverError": "errors", "Origin": "frames",
     "GnssFixes": "measurements", "ImuSamples": "measurements", "WheelSpeeds": "measurements",
     "SteeringAngles": "measurements", "Event": "result", "Result": "result",
     "Trajectory": "trajectory",
@@ -52,6 +53,7 @@ __all__ = [
     "ImuNoise",
     "ImuSamples",
     "InputError",
+    "Method",
     "Metric",
     "Origin",
     "Result",

@@ -4,14 +4,14 @@ The same functions stand behind the command line. A drive is a `Drive`, a drive 
 that `fgloc datasets` lists.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fgloc.comparison import Comparison, Method, compare_methods
 from fgloc.config import Mode, SmoothConfig, load_config
 from fgloc.drive import Drive
 from fgloc.errors import InputError
+from fgloc.evaluation.comparison import Comparison, Method, compare_methods
 from fgloc.evaluation.metric import Metric
 from fgloc.result import Result
 from fgloc.trajectory import Trajectory
@@ -139,20 +139,24 @@ def score(estimate: Trajectory, truth: Trajectory | None, **options: Any) -> dic
 
 def compare(
     drives: DriveLike | Iterable[DriveLike],
-    methods: Sequence[str],
+    methods: Sequence[str | Method] = (),
     *,
+    configs: Mapping[str, str | Path | SmoothConfig] | None = None,
     seeds: Iterable[int] | None = None,
     score_from_s: float = 0.0,
 ) -> Comparison:
     """Drives through methods: metrics of each, and differences to the first method, paired in time.
 
-    A method is a graph (`graph-batch`, `graph-incremental`, `graph-lag`) or a baseline. `seeds`
-    repeats drives that are scenarios' names. A method that fails on a drive is a row that says so.
-    Raises InputError for an unknown method before anything is run.
+    A method is a graph (`graph-batch`, `graph-incremental`, `graph-lag`), a baseline, or a `Method`
+    of your own. `configs` adds, after them, the graph under other configurations by a label of your
+    choice: `{"robust": "robust.toml"}`; each says its own mode. `seeds` repeats drives that are
+    scenarios' names. A method that fails on a drive is a row that says so. Raises InputError for an
+    unknown method, a label that is taken or a faulty configuration before anything is run.
     """
     one = isinstance(drives, Drive | str | Path)
     several: list[DriveLike] = [drives] if one else list(drives)  # type: ignore[list-item, arg-type]
-    chosen = [_method(name) for name in methods]
+    chosen = [method if isinstance(method, Method) else _method(method) for method in methods]
+    chosen += [_configured(label, config) for label, config in (configs or {}).items()]
     return compare_methods(_each(several, seeds), chosen, score_from_s)
 
 
@@ -186,3 +190,15 @@ def _method(name: str) -> Method:
         return Method(name, lambda drive: smoother.smooth(drive, config))
     baselines.check(name, others=tuple(smoother.METHODS))
     return Method(name, lambda drive: baselines.run(drive, name))
+
+
+def _configured(label: str, config: str | Path | SmoothConfig) -> Method:
+    """The graph under a configuration, by a label that is no method's name."""
+    from fgloc import baselines, smoother
+
+    if not label or label in (*smoother.METHODS, *baselines.available()):
+        raise InputError(
+            f"the label {label!r} of a configuration is a method's name or empty; choose another"
+        )
+    in_force = configure(config=config)
+    return Method(label, lambda drive: smoother.smooth(drive, in_force))

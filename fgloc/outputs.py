@@ -12,7 +12,8 @@ import numpy as np
 
 from fgloc.drive import Drive
 from fgloc.errors import InputError
-from fgloc.evaluation import Judgement, judge
+from fgloc.evaluation import Judgement, judge, requirements
+from fgloc.evaluation.comparison import Comparison
 from fgloc.frames import Origin
 from fgloc.result import Event, Result
 from fgloc.timing import NS_PER_S
@@ -21,6 +22,7 @@ from fgloc.verdicts import SourceVerdicts, Verdicts
 
 TRAJECTORY, SMOOTHED = "trajectory", "trajectory_smoothed"
 SUMMARY, VERDICTS, CONFIG, REPORT = "summary.json", "verdicts.csv", "config.toml", "report.html"
+COMPARISON = "compare.json"
 VERDICT_COLUMNS = (
     "source", "t_ns", "received_ns", "verdict", "nis", "dof", "threshold", "reason",
 )  # fmt: skip
@@ -86,6 +88,21 @@ def write_scores(folder: Path, summary: Mapping[str, Any]) -> None:
         _write_text(folder / SUMMARY, format_json(summary))
 
 
+def write_comparison(folder: Path, comparison: Comparison, *, report: bool = True) -> None:
+    """Write `compare.json` and the page of a comparison; older results in the folder are replaced.
+
+    Raises InputError where the folder cannot be written or holds a drive.
+    """
+    check_folder(folder)
+    with _writing(folder):
+        _clear(folder)
+        _write_text(folder / COMPARISON, format_json(comparison.to_dict()))
+        if report:
+            from fgloc.report.comparison_page import write_comparison_page
+
+            write_comparison_page(folder / REPORT, comparison)
+
+
 def read_summary(path: Path) -> dict[str, Any]:
     """The content of a `summary.json`; InputError where it is missing or no such file."""
     try:
@@ -136,9 +153,11 @@ def summarize(
     }
     if judged is not None:
         summary |= {"score_from_s": score_from_s, "metrics": _plain_metrics(judged)}
+        summary["requirements"] = requirements.as_dict(judged.requirements)
     if drive.truth is not None and result.smoothed is not None:
         smoothed = judge(result, drive.truth, score_from_s=score_from_s, smoothed=True)
         summary["smoothed_metrics"] = _plain_metrics(smoothed)
+        summary["smoothed_requirements"] = requirements.as_dict(smoothed.requirements)
     clean: dict[str, Any] = jsonable(summary)
     return clean
 
@@ -195,7 +214,7 @@ def _writing(folder: Path) -> Iterator[None]:
 
 def _clear(folder: Path) -> None:
     """Take away what an older result left, so that no file of it stands among the new ones."""
-    for name in FILES:
+    for name in (*FILES, COMPARISON):
         (folder / name).unlink(missing_ok=True)
 
 

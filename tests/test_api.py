@@ -17,7 +17,7 @@ SURFACE = {
     "load", "make", "smooth", "baseline", "score", "compare",
     "Drive", "Rig", "ImuNoise", "About", "Origin", "GnssFixes", "ImuSamples", "WheelSpeeds",
     "SteeringAngles",
-    "Trajectory", "Result", "Event", "Verdict", "SourceVerdicts", "Metric", "Comparison",
+    "Trajectory", "Result", "Event", "Verdict", "SourceVerdicts", "Metric", "Method", "Comparison",
     "SmoothConfig", "FglocError", "InputError", "DriveError", "ConfigError", "SolverError",
     "__version__",
 }  # fmt: skip
@@ -170,6 +170,34 @@ def test_compare_repeats_scenarios_over_seeds():
     assert [(row.drive, row.seed) for row in table.rows] == [("city", 0), ("city", 1)]
 
 
+def test_compare_takes_configurations_by_label_and_methods_of_ones_own(drive, tmp_path):
+    (tmp_path / "plain.toml").write_text('[gnss]\nloss = "none"\n')
+    ideal = fgloc.Method("truth", lambda of: dataclasses.replace(
+        fgloc.baseline(of, "raw:gnss"), trajectory=of.truth))  # fmt: skip
+    table = fgloc.compare(
+        drive, ["graph-batch", ideal],
+        configs={"plain": tmp_path / "plain.toml", "lag": fgloc.SmoothConfig(mode="fixed-lag")},
+    )  # fmt: skip
+    assert [row.method for row in table.rows] == ["graph-batch", "truth", "plain", "lag"]
+    assert [row.label for row in table.rows] == ["smoothed", "causal", "smoothed", "causal"]
+    losses = [row.config.get("gnss", {}).get("loss") for row in table.rows]
+    assert losses == ["huber", None, "none", "huber"]
+    assert table.rows[1].metrics["horizontal_rmse_m"].value == 0.0
+    assert all(row.wall_s > 0 and row.requirements for row in table.rows)
+
+
+def test_compare_sums_up_over_drives():
+    table = fgloc.compare("city", ["raw:gnss", "graph-batch"], seeds=range(3))
+    raw, graph = table.overall()
+    each = [row.metrics["horizontal_rmse_m"].value for row in table.of("graph-batch")]
+    assert graph.mean.value == pytest.approx(np.mean(each)) and graph.mean.n == table.drives == 3
+    half = 4.3027 * np.std(each, ddof=1) / np.sqrt(3)  # Student t, 2 degrees of freedom
+    assert graph.mean.high == pytest.approx(np.mean(each) + half, rel=1e-4)
+    paired = [row.difference.value for row in table.of("graph-batch")]
+    assert raw.difference is None and graph.difference.value == pytest.approx(np.mean(paired))
+    assert graph.difference.high < 0
+
+
 def test_compare_refuses_what_it_cannot_run(drive):
     with pytest.raises(InputError, match="no method named 'graph-bach'; the nearest is 'graph-b"):
         fgloc.compare(drive, ["graph-bach"])
@@ -177,6 +205,12 @@ def test_compare_refuses_what_it_cannot_run(drive):
         fgloc.compare(drive, [])
     with pytest.raises(InputError, match="seeds go with scenarios"):
         fgloc.compare(drive, ["raw:gnss"], seeds=[1])
+    with pytest.raises(InputError, match="'raw:gnss' is there twice"):
+        fgloc.compare(drive, ["raw:gnss", "raw:gnss"])
+    with pytest.raises(InputError, match="'graph-lag' of a configuration is a method's name"):
+        fgloc.compare(drive, configs={"graph-lag": fgloc.SmoothConfig()})
+    with pytest.raises(InputError, match=r"none\.toml: No such file"):
+        fgloc.compare(drive, configs={"a": "none.toml"})
 
 
 def test_removed_fixes_score_the_rest(drive):

@@ -22,7 +22,9 @@ from fgloc.errors import SolverError
 from fgloc.outputs import FILES, VERDICT_COLUMNS, format_verdicts
 from fgloc.verdicts import SourceVerdicts, Verdict
 
-COMMANDS = ("datasets", "make", "import", "degrade", "smooth", "baseline", "eval", "explain")
+COMMANDS = (
+    "datasets", "make", "import", "degrade", "smooth", "baseline", "compare", "eval", "explain",
+)  # fmt: skip
 METRICS = {
     "horizontal_rmse_m", "horizontal_mean_m", "horizontal_std_m", "horizontal_p95_m",
     "horizontal_max_m", "lateral_rmse_m", "longitudinal_rmse_m", "lateral_mean_abs_m",
@@ -123,6 +125,21 @@ def test_summary_holds_what_the_contract_names(mems):
         assert {"value", "unit", "better", "n"} <= set(metric)
         assert metric["value"] is not None or metric["why"]
     assert summary["metrics"]["horizontal_rmse_m"]["value"] < 0.05
+
+
+def test_requirements_are_judged_by_smooth_and_eval_alike(mems, run, tmp_path):
+    out, done = mems
+    summary = json.loads((out / "summary.json").read_text())
+    freeway = summary["requirements"]["freeway"]
+    assert freeway["accuracy95"]["lateral_m"]["answer"] == "yes"
+    assert {row["answer"] for row in freeway["alert"].values()} == {"not enough data"}
+    assert re.search(r"^Freeway +yes: lateral", done.stdout, re.MULTILINE)
+    _, text, _ = run("eval", out, "mems-rtk", "--json")
+    again = json.loads(text)["requirements"]["freeway"]["accuracy95"]["lateral_m"]
+    assert again["answer"] == "yes"
+    assert again["value"] == pytest.approx(freeway["accuracy95"]["lateral_m"]["value"], rel=1e-9)
+    assert "alert limits" in run("eval", out, "mems-rtk", "--out", tmp_path)[1]
+    assert "requirements" in json.loads((tmp_path / "summary.json").read_text())
 
 
 def test_trajectories_read_back(mems):
@@ -383,6 +400,12 @@ def test_as_a_module():
         (["degrade", "mems-rtk", "--seed", "1", "--out", "x"], "--seed goes with --noise"),
         (["degrade", "mems-rtk", "--source", "imu", "--out", "x"], "'imu' is not 'gnss'"),
         (["explain", "x"], "Missing option '--t'"),
+        (["compare", "city", "--out", "x"], "give --methods, --config or both"),
+        (["compare", "--methods", "graph-batch", "--out", "x"], "Missing argument 'DRIVE...'"),
+        (["compare", "city", "--methods", "a", "--seeds", "5:5", "--out", "x"], "holds no seed"),
+        (["compare", "city", "--methods", "a", "--seeds", "-1", "--out", "x"], "FIRST:END"),
+        (["compare", "city", "--config", "plain.toml", "--out", "x"], "of the form LABEL=FILE"),
+        (["compare", "city", "--config", "a=b", "--config", "a=c", "--out", "x"], "given twice"),
     ],
 )
 def test_wrong_usage(run, tmp_path, monkeypatch, arguments, says):

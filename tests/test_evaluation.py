@@ -386,6 +386,14 @@ def test_intervals_hold_their_values_and_repeat():
         assert first[name] == second[name]
 
 
+def test_the_interval_of_a_quantile_is_not_misled_by_errors_that_come_and_go():
+    """Ten rows between two fixes, the error largest at the fix: every tenth row sees no other."""
+    n = 20_000
+    x = np.abs(np.random.default_rng(0).normal(size=n)) * np.where(np.arange(n) % 10 == 0, 3.0, 0.5)
+    low, high = Bootstrap().quantile(x, np.arange(n) * (S // 10), 0.95)
+    assert low <= np.quantile(x, 0.95) <= high
+
+
 def test_too_few_errors_have_no_interval():
     metric = score(*straight(np.ones((5, 3))))["horizontal_rmse_m"]
     assert metric.low is None and metric.high is None

@@ -134,7 +134,8 @@ def test_report_is_one_file_that_loads_nothing_and_holds_every_section(tmp_path)
     assert page.headings == [
         "made/loop", "Plan view", "Errors over time", "Distribution of errors",
         "Error growth in GNSS outages", "Normalised innovations",
-        "What became of each measurement", "Metrics", "Measurements by verdict", "GNSS outages",
+        "What became of each measurement", "Protection levels",
+        "Requirements of automated driving", "Metrics", "Measurements by verdict", "GNSS outages",
         "Events", "How it was made",
     ]  # fmt: skip
     assert 3e6 < len(text) < 9e6

@@ -1,13 +1,14 @@
 """Commands that look at results: score a trajectory, explain a moment."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from fgloc.cli import options
 from fgloc.cli.options import Command
-from fgloc.cli.screen import print_explanation, print_json, print_metrics, say
+from fgloc.cli.screen import print_explanation, print_json, print_metrics, print_requirements, say
+from fgloc.errors import InputError
 
 if TYPE_CHECKING:
     from fgloc.trajectory import Trajectory
@@ -38,14 +39,16 @@ def evaluate(
     or a drive that has truth. Files tell of the vehicle's origin, unless they lie in a result
     folder whose summary names another point; a drive's truth tells of the point that it states.
     """
-    from fgloc import api, outputs
+    from fgloc import outputs
+    from fgloc.evaluation import judge_trajectory, requirements
 
     if out is not None:
         outputs.check_folder(out)
-    scores = api.score(_estimate(estimate), _truth(truth), score_from_s=score_from_s)
-    metrics = {name: metric.to_dict() for name, metric in scores.items()}
-    summary = {
+    judged = judge_trajectory(_estimate(estimate), _truth(truth), score_from_s=score_from_s)
+    metrics = {name: metric.to_dict() for name, metric in judged.metrics.items()}
+    summary: dict[str, Any] = {
         "estimate": estimate, "truth": truth, "score_from_s": score_from_s, "metrics": metrics,
+        "requirements": requirements.as_dict(judged.requirements),
     }  # fmt: skip
     if out is not None:
         outputs.write_scores(out, summary)
@@ -53,6 +56,7 @@ def evaluate(
         print_json(summary)
         return
     print_metrics(f"{estimate} against {truth}", metrics)
+    print_requirements(summary["requirements"])
     if out is not None:
         say(f"Results in {out}")
 
@@ -91,11 +95,14 @@ def _estimate(name: str) -> "Trajectory":
     return read_result_trajectory(path / f"{TRAJECTORY}.csv" if path.is_dir() else path)
 
 
-def _truth(name: str) -> "Trajectory | None":
-    """The truth of a file, or that of a drive."""
+def _truth(name: str) -> "Trajectory":
+    """The truth of a file, or that of a drive; InputError where that has none."""
     from fgloc import api
 
     path = Path(name)
     if path.suffix in (".tum", ".txt", ".csv") and not path.is_dir():
         return _estimate(name)
-    return api.load(name).truth
+    truth = api.load(name).truth
+    if truth is None:
+        raise InputError("there is no truth to score against: this drive has none")
+    return truth

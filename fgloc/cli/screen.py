@@ -75,12 +75,14 @@ def print_run(summary: Mapping[str, Any], out: Path) -> None:
     say("")
     if "metrics" in summary:
         print_metrics("Errors against the truth", summary["metrics"])
+        print_requirements(summary["requirements"])
     else:
         say("This drive has no truth, so there are no errors to show.\n")
     if "smoothed_metrics" in summary:
         print_metrics(
             "The same of trajectory_smoothed, which looks ahead", summary["smoothed_metrics"]
         )
+        print_requirements(summary["smoothed_requirements"])
     _print_counts(summary["counts"])
     _print_events(summary["events"])
     say(f"Results in {out}")
@@ -97,6 +99,14 @@ def print_metrics(title: str, metrics: Mapping[str, Mapping[str, Any]]) -> None:
         for row in metric_rows(found)
     ]
     table(title, ("metric", "value", "unit", "95 % interval", "n", "remark"), rows)
+
+
+def print_requirements(found: Mapping[str, Any]) -> None:
+    """A line for each kind of road: what is met, what is missed, what cannot be said."""
+    from fgloc.report.requirements import answer_lines
+
+    title = "Requirements (Reid et al. 2019; of alert limits a drive can only say no)"
+    table(title, ("road", "95 % accuracy", "alert limits"), answer_lines(found))
 
 
 def print_explanation(found: Any) -> None:

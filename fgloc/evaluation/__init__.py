@@ -2,24 +2,28 @@
 
 `errors` pairs an estimate with the truth once, as columns; everything else is computed from
 those columns: `score` and `score_errors` (named metrics), `error_growth` (outages) and
-`paired_difference` (two estimates at the same instants). `judge` does it for a whole result.
+`paired_difference` (two estimates at the same instants). `judge` does it for a whole result;
+`judge_requirements` says whether the errors meet what automated driving asks.
 """
 
 from fgloc.evaluation.against_truth import MAX_GAP_S, Errors, errors
 from fgloc.evaluation.bootstrap import Bootstrap, paired_difference
 from fgloc.evaluation.consistency import anees_band, chi2_quantile, effective_samples, nees
 from fgloc.evaluation.gaps import Growth, Spans, error_growth, gnss_outages, outages, used_fixes_ns
-from fgloc.evaluation.judgement import Judgement, judge
+from fgloc.evaluation.judgement import Judgement, judge, judge_trajectory
 from fgloc.evaluation.metric import Metric
+from fgloc.evaluation.requirements import Answer, Requirement, judge_requirements
 from fgloc.evaluation.scoring import score, score_errors
 
 __all__ = [
     "MAX_GAP_S",
+    "Answer",
     "Bootstrap",
     "Errors",
     "Growth",
     "Judgement",
     "Metric",
+    "Requirement",
     "Spans",
     "anees_band",
     "chi2_quantile",
@@ -28,6 +32,8 @@ __all__ = [
     "errors",
     "gnss_outages",
     "judge",
+    "judge_requirements",
+    "judge_trajectory",
     "nees",
     "outages",
     "paired_difference",

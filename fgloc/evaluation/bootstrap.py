@@ -19,7 +19,8 @@ from fgloc.timing import Instants
 Interval = tuple[float, float] | tuple[None, None]
 
 _MAX_QUANTILE_ROWS = 2000
-"""Quantiles are resampled from at most this many evenly spread rows: close rows say the same."""
+"""Quantiles are resampled from at most this many rows, one of each stretch: close rows say the
+same."""
 _MIN_ROWS = 8
 
 
@@ -48,10 +49,10 @@ class Bootstrap:
 
     def quantile(self, x: Array, t_ns: Instants, share: float) -> Interval:
         """Interval of a quantile, e.g. share 0.95."""
-        step = -(-len(x) // _MAX_QUANTILE_ROWS)
         if len(x) < _MIN_ROWS:
             return None, None
-        x, t_ns = x[::step], t_ns[::step]
+        rows = self._thinned(len(x))
+        x, t_ns = x[rows], t_ns[rows]
         length = self.block_rows(t_ns)
         rows = (self._starts(len(x), length)[..., None] + np.arange(length)) % len(x)
         return self._interval(np.quantile(x[rows.reshape(len(rows), -1)], share, axis=1))
@@ -68,6 +69,14 @@ class Bootstrap:
         total = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(around, axis=0)])
         blocks = (total[length:] - total[:-length]) / length
         return blocks[self._starts(n, length)].mean(axis=1)
+
+    def _thinned(self, n: int) -> np.ndarray:
+        """A row of each stretch of n, drawn at random: rows evenly apart could beat with errors
+        that come and go between two fixes, and see only the largest or the smallest of them."""
+        step = -(-n // _MAX_QUANTILE_ROWS)
+        first = np.arange(0, n, step)
+        ahead = np.random.default_rng(self.seed).integers(0, step, len(first))
+        return np.minimum(first + ahead, n - 1)
 
     def _of_moments(
         self, x: Array, t_ns: Instants, statistic: Callable[[Array, Array], Array]

@@ -1,10 +1,11 @@
-"""A whole result held against the truth: its errors and its metrics, outages included."""
+"""A whole result held against the truth: errors, metrics with outages included, requirements."""
 
 from dataclasses import dataclass
 
 from fgloc.evaluation.against_truth import Errors, errors
-from fgloc.evaluation.gaps import gnss_outages
+from fgloc.evaluation.gaps import Spans, gnss_outages
 from fgloc.evaluation.metric import Metric
+from fgloc.evaluation.requirements import Requirement, judge_requirements
 from fgloc.evaluation.scoring import score_errors
 from fgloc.result import Result
 from fgloc.timing import seconds_to_ns
@@ -13,10 +14,12 @@ from fgloc.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What the truth says of a trajectory: a row of errors per instant, and the named metrics."""
+    """What the truth says of a trajectory: a row of errors per instant, the named metrics, and
+    whether it meets the requirements of automated driving."""
 
     errors: Errors
     metrics: dict[str, Metric]
+    requirements: tuple[Requirement, ...] = ()
 
 
 def judge(
@@ -30,6 +33,20 @@ def judge(
     estimate = result.trajectory
     if smoothed and result.smoothed is not None:
         estimate = result.smoothed
+    return judge_trajectory(
+        estimate, truth, score_from_s=score_from_s, outages=gnss_outages(result)
+    )
+
+
+def judge_trajectory(
+    estimate: Trajectory,
+    truth: Trajectory,
+    *,
+    score_from_s: float = 0.0,
+    outages: Spans | None = None,
+) -> Judgement:
+    """The same of a trajectory alone; with `outages` (K, 2) there are metrics of these."""
     start_ns = int(estimate.t_ns[0]) + seconds_to_ns(score_from_s) if len(estimate) else None
     found = errors(estimate, truth, score_from_ns=start_ns)
-    return Judgement(found, score_errors(found, outages=gnss_outages(result)))
+    metrics = score_errors(found, outages=outages)
+    return Judgement(found, metrics, judge_requirements(found))

@@ -1,19 +1,20 @@
 """The report of one run: a single HTML file that needs no network.
 
 `write_report` gathers the drive, the result and its errors into a `Scene`; each figure is a plain
-specification made from it; Plotly and Jinja2 enter here and nowhere else.
+specification made from it, which `page` draws.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from fgloc.drive import Drive
-from fgloc.errors import InputError
-from fgloc.evaluation import Errors, Metric
-from fgloc.report import tables
+from fgloc.evaluation import Errors, Metric, judge_requirements
+from fgloc.evaluation.requirements import INTEGRITY_PER_H, SOURCE
+from fgloc.report import requirements, tables
+from fgloc.report.page import Figure, draw, draw_panels, render_page, write_page
 from fgloc.report.plan import plan_figure
+from fgloc.report.protection import RISK, SIGMAS, protection_panels
 from fgloc.report.scene import Scene, scene
 from fgloc.report.series import error_figure, nis_figure, sigma_figure, timeline_figure
 from fgloc.report.spread import cdf_figure, growth_figure
@@ -22,25 +23,6 @@ from fgloc.result import Result
 from fgloc.timing import iso_utc
 
 __all__ = ["write_report"]
-
-_CONFIG = {
-    "displaylogo": False,
-    "responsive": True,
-    "showSendToCloud": False,
-    "plotlyServerURL": "",
-    "scrollZoom": False,
-    "modeBarButtonsToRemove": ["select2d", "lasso2d", "autoScale2d"],
-}
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A figure on the page: `caption` tells what is seen, `html` draws it."""
-
-    key: str
-    title: str
-    caption: str
-    html: str
 
 
 def write_report(
@@ -56,41 +38,36 @@ def write_report(
     Without truth (`scores` and `errors` None) it shows what the estimate claims of itself. Names
     and reasons from files are escaped. Raises InputError where the file cannot be written.
     """
-    page = render(scene(drive, result, errors), scores)
-    try:
-        Path(path).write_text(page, encoding="utf-8", newline="\n")
-    except OSError as err:
-        raise InputError(f"{path}: the report cannot be written: {err.strerror}") from err
+    write_page(path, render(scene(drive, result, errors), scores))
 
 
 def render(of: Scene, scores: Mapping[str, Metric] | None) -> str:
     """The page as text."""
-    import jinja2  # with Plotly 0.5 s to import, which runs without a report need not pay
-    from plotly.offline import get_plotlyjs
-
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("fgloc", "report"), autoescape=True,
-        undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    environment.filters["tie"] = _tie
     order, counts = tables.count_rows(of)
     config = dict(of.result.config)
     versions = config.pop("versions", {})
-    return environment.get_template("report.html.j2").render(
-        drive=of.drive, result=of.result, facts=_facts(of), tiles=tables.tiles(of, scores),
+    return render_page(
+        "report.html.j2", drive=of.drive, result=of.result, facts=_facts(of),
+        tiles=tables.tiles(of, scores),
         figures=list(_figures(of)), metrics=tables.metric_rows(scores or {}),
         has_truth=of.drive.truth is not None, has_errors=of.errors is not None,
         verdicts=order, counts=counts, outages=tables.outage_rows(of),
         outage_count=len(of.outages_s), events=tables.event_rows(of),
         event_count=len(of.result.events), max_rows=tables.MAX_ROWS,
         config=list(tables.flat_config(config)), versions=versions.items(),
-        plotlyjs=get_plotlyjs(),
+        **_requirements(of),
     )  # fmt: skip
 
 
-def _tie(text: str) -> str:
-    """A number and its per cent sign kept on one line."""
-    return text.replace(" %", "\N{NO-BREAK SPACE}%")
+def _requirements(of: Scene) -> dict[str, Any]:
+    """What the page says of requirements; empty tables where there are no errors."""
+    found = () if of.errors is None else judge_requirements(of.errors)
+    return {
+        "profiles": list(requirements.TITLES.values()),
+        "accuracy": requirements.accuracy_rows(found), "alert": requirements.alert_rows(found),
+        "excluded_rate": requirements.excluded_rate(found), "requirements_source": SOURCE,
+        "integrity_hours": 1 / INTEGRITY_PER_H,
+    }  # fmt: skip
 
 
 def _facts(of: Scene) -> list[tuple[str, str]]:
@@ -122,18 +99,11 @@ def _figures(of: Scene) -> Iterator[Figure]:
     for key, title, make, caption in _PLAN_OF_PAGE:
         spec = make(of)
         if spec is not None and spec["data"]:
-            yield Figure(key, title, caption(of), _draw(key, spec))
-
-
-def _draw(key: str, spec: Spec) -> str:
-    """A specification as a piece of HTML; Plotly checks every name and value in it."""
-    import plotly.graph_objects as go
-    import plotly.io
-
-    return plotly.io.to_html(
-        go.Figure(data=spec["data"], layout=spec["layout"]), config=_CONFIG, full_html=False,
-        include_plotlyjs=False, include_mathjax=False, div_id=f"plot-{key}", default_height="auto",
-    )  # fmt: skip
+            yield Figure(key, title, caption(of), draw(key, spec))
+    panels = protection_panels(of)
+    if panels:
+        html = draw_panels("protection", panels)
+        yield Figure("protection", "Protection levels", _PROTECTION_CAPTION, html)
 
 
 def _plan_caption(of: Scene) -> str:
@@ -181,6 +151,18 @@ def _nis_caption(of: Scene) -> str:
         "of its claimed uncertainty. A consistent source scatters about the dotted line; the "
         "dashed line is the gate." + _shading(of)
     )
+
+
+_PROTECTION_CAPTION = (
+    f"How large an error the estimate would have warned of, against the error there was. The "
+    f"protection level is {SIGMAS:.2f} claimed sigmas: a Gaussian error exceeds it once in "
+    f"{1 / RISK:,.0f} times. The darker a cell, the more instants fall into it; below the "
+    "diagonal the error was larger than the level. Lines are the alert limits: above one the "
+    "system would have said that it is not available; right of one and below it a limit was "
+    "exceeded unwarned. The sigmas are Gaussian claims of the estimate, of which a drive tests "
+    "only the bulk: this is no certified bound of integrity, and a level that holds here may "
+    "fail in rarer conditions. What lies outside the axes is drawn at their ends."
+)
 
 
 def _shading(of: Scene) -> str:

@@ -25,7 +25,7 @@ from fgloc.trajectory import Trajectory
 from fgloc.verdicts import Verdict
 
 ELLIPSES = 40
-_HOVER = "%{fullData.name}<br>t = %{customdata:.2f} s<br>E %{x:.2f} m, N %{y:.2f} m<extra></extra>"
+HOVER = "%{fullData.name}<br>t = %{customdata:.2f} s<br>E %{x:.2f} m, N %{y:.2f} m<extra></extra>"
 _FIX_HOVER = "%{text}<br>E %{x:.2f} m, N %{y:.2f} m<extra></extra>"
 
 
@@ -71,7 +71,7 @@ def _path(scene: Scene, of: Trajectory, name: str, colour: str, *, width: float,
     t_s = scene.seconds(of.t_ns)
     t, east, north = with_gaps(t_s, *of.p_world_m[:, :2].T, longest_s=longest_step_s(of.t_ns))
     return line(
-        east, north, name, colour, width=width, dash=dash, customdata=t, hovertemplate=_HOVER
+        east, north, name, colour, width=width, dash=dash, customdata=t, hovertemplate=HOVER
     )
 
 

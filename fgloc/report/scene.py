@@ -57,8 +57,8 @@ def scene(drive: Drive, result: Result, errors: Errors | None) -> Scene:
     return Scene(
         drive, result, errors if errors is not None and len(errors) else None, start_ns,
         (0.0, float(elapsed_s(end_ns, start_ns))),
-        _at_truths_point(result.trajectory, drive.truth),
-        None if result.smoothed is None else _at_truths_point(result.smoothed, drive.truth),
+        at_truths_point(result.trajectory, drive.truth),
+        None if result.smoothed is None else at_truths_point(result.smoothed, drive.truth),
  spans, elapsed_s(spans, start_ns),
     )  # fmt: skip
 
@@ -76,7 +76,8 @@ def _span_ns(drive: Drive, result: Result) -> tuple[int, int]:
     return min(first, default=0), max(last, default=0)
 
 
-def _at_truths_point(estimate: Trajectory, truth: Trajectory | None) -> Trajectory:
+def at_truths_point(estimate: Trajectory, truth: Trajectory | None) -> Trajectory:
+    """The estimate at the truth's point of the vehicle, where its attitude carries it there."""
     if truth is None or estimate.R_world_veh is None:
         return estimate
     return estimate.at_point(truth.p_veh_point_m)

@@ -34,20 +34,25 @@ def cdf_figure(scene: Scene) -> Spec | None:
         ("longitudinal", np.abs(e.longitudinal_m), ORANGE, "dot"),
     )
     data = [
-        _cdf(x[np.isfinite(x)], name, colour, dash)
+        cdf_line(x[np.isfinite(x)], name, colour, dash)
         for name, x, colour, dash in curves
         if np.isfinite(x).any()
     ]
-    spec = layout(
-        340, hovermode="x unified", xaxis=axis("error (m)", rangemode="tozero"),
+    return {"data": data, "layout": cdf_layout("error (m)")}
+
+
+def cdf_layout(title: str) -> Spec:
+    """Axes of a distribution, with a line at 95 %."""
+    return layout(
+        340, hovermode="x unified", xaxis=axis(title, rangemode="tozero"),
         yaxis=axis("share of instants", range=[0, 1.02], tickformat=".0%"),
         shapes=[{"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": 0.95, "y1": 0.95,
                  "line": {"color": PALE, "width": 1, "dash": "dash"}}],
     )  # fmt: skip
-    return {"data": data, "layout": spec}
 
 
-def _cdf(x: Array, name: str, colour: str, dash: str) -> Spec:
+def cdf_line(x: Array, name: str, colour: str, dash: str) -> Spec:
+    """Share of values (N,) below x, as a curve of quantiles."""
     share = np.linspace(0, 1, min(len(x), _QUANTILES) + 1)
     return line(
         np.quantile(x, share), share, name, colour, dash=dash, width=2.0, hovertemplate="%{y:.1%}"

@@ -22,7 +22,7 @@ MAX_POINTS = 5000
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 YELLOW, BLUE, VERMILLION, PURPLE = "#F0E442", "#0072B2", "#D55E00", "#CC79A7"
 GREY, PALE = "#767676", "#c9ccd1"
-INK, GRID = "#1f2328", "#e8eaed"
+INK, SOFT, GRID = "#1f2328", "#57606a", "#e8eaed"
 
 VERDICTS: dict[str, tuple[str, str]] = {
     "used": (SKY, "circle"),

@@ -1,0 +1,152 @@
+"""The command that holds methods against each other."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fgloc.cli import options
+from fgloc.cli.options import Command
+from fgloc.cli.screen import print_json, say, table, working
+from fgloc.errors import SolverError
+
+if TYPE_CHECKING:
+    from fgloc.evaluation import Metric
+    from fgloc.evaluation.comparison import Comparison
+
+MOST_ROWS = 40
+"""Rows of single drives on screen; compare.json holds all."""
+_EPILOG = """\b
+Examples:
+  fgloc compare mems-rtk --methods graph-lag,graph-batch,raw:gnss --out table
+  fgloc compare city --seeds 0:20 --methods graph-lag,raw:gnss --out table
+  fgloc compare mems-rtk --methods graph-batch --config plain=plain.toml --out table
+"""
+
+
+class Seeds(click.ParamType):
+    """`FIRST:END`, without END, or one number."""
+
+    name = "FIRST:END"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> range:
+        if isinstance(value, range):
+            return value
+        first, colon, end = value.partition(":")
+        if not first.isdecimal() or (colon and not end.isdecimal()):
+            self.fail(f"{value!r} is not of the form FIRST:END, e.g. 0:20 for 0 to 19", param, ctx)
+        seeds = range(int(first), int(end) if colon else int(first) + 1)
+        if not seeds:
+            self.fail(
+                f"{value!r} holds no seed: END is not among them, 0:20 is 0 to 19", param, ctx
+            )
+        return seeds
+
+
+class Labelled(click.ParamType):
+    """`LABEL=FILE`, a pair of texts."""
+
+    name = "LABEL=FILE"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, str]:
+        if isinstance(value, tuple):
+            return value
+        label, equals, path = value.partition("=")
+        if not equals or not label.strip() or not path.strip():
+            self.fail(f"{value!r} is not of the form LABEL=FILE", param, ctx)
+        return label.strip(), path.strip()
+
+
+@click.command(cls=Command, epilog=_EPILOG)
+@click.argument("drives", metavar="DRIVE...", nargs=-1, required=True)
+@click.option("--methods", metavar="A,B,..", help="Methods; the first is what others are held to.")
+@click.option(
+    "--config", "configs", type=Labelled(), multiple=True, metavar="LABEL=FILE",
+    help="One method more: the graph with the configuration (and mode) of a TOML file.",
+)  # fmt: skip
+@click.option(
+    "--seeds", type=Seeds(), metavar="FIRST:END",
+    help="Make each scenario with these seeds; END is not among them.",
+)  # fmt: skip
+@options.out_dir
+@options.score_from
+@options.no_report
+@options.as_json
+def compare(
+    drives: tuple[str, ...], methods: str | None, configs: tuple[tuple[str, str], ...],
+    seeds: range | None, out: Path, score_from_s: float, no_report: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """The same drives through several methods.
+
+    A method is graph-batch, graph-incremental, graph-lag or a baseline such as raw:gnss. DIR gets
+    compare.json and a report.
+    """
+    from fgloc import api, outputs
+
+    names = [name.strip() for name in (methods or "").split(",") if name.strip()]
+    labels = [label for label, _ in configs]
+    twice = next((label for label in labels if labels.count(label) > 1), None)
+    if twice is not None:
+        raise click.UsageError(f"--config {twice}=.. is given twice; choose another label")
+    if not names and not configs:
+        raise click.UsageError("give --methods, --config or both, e.g. --methods graph-batch")
+    outputs.check_folder(out)
+    with working(f"comparing {', '.join([*names, *labels])}"):
+        found = api.compare(
+            drives, names, configs=dict(configs), seeds=seeds, score_from_s=score_from_s
+        )
+        outputs.write_comparison(out, found, report=not no_report)
+    if as_json:
+        print_json(found.to_dict())
+    else:
+        _print(found)
+        say(f"Results in {out}")
+    if all(row.failed for row in found.rows):
+        raise SolverError(f"no method gave a result: {found.rows[0].failed}")
+
+
+def _print(found: "Comparison") -> None:
+    """Means over the drives where there are several, then the rows of each drive."""
+    if found.drives > 1:
+        header = ("method", "mean RMSE in m", "95 % interval", f"minus {found.against}",
+                  "95 % interval", "drives", "failed", "wall s")  # fmt: skip
+        rows = [
+            (
+                one.method, *_two(one.mean), *_two(one.difference), str(one.mean.n),
+                str(one.failed), f"{one.wall_s:.2f}",
+            )
+            for one in found.overall()
+        ]  # fmt: skip
+        table(f"Horizontal RMSE over {found.drives} drives", header, rows)
+    _print_rows(found, found.rows[:MOST_ROWS])
+    if len(found.rows) > MOST_ROWS:
+        say(f"{len(found.rows) - MOST_ROWS} more rows are in compare.json")
+
+
+def _print_rows(found: "Comparison", rows: Sequence[Any]) -> None:
+    header = ("drive", "seed", "method", "kind", "RMSE in m", "95 % interval", "95 % below",
+              f"minus {found.against}", "95 % interval", "scored", "wall s", "remark")  # fmt: skip
+    cells = [
+        (
+            row.drive, "" if row.seed is None else str(row.seed), row.method, row.label,
+            *_two(row.metrics.get("horizontal_rmse_m")),
+            _two(row.metrics.get("horizontal_p95_m"))[0], *_two(row.difference),
+            _two(row.metrics.get("scored_share"))[0], f"{row.wall_s:.2f}", row.failed,
+        )
+        for row in rows
+    ]  # fmt: skip
+    table("Horizontal errors, drive by drive", header, cells)
+
+
+def _two(metric: "Metric | None") -> tuple[str, str]:
+    """A metric's value and interval, empty where there is none."""
+    from fgloc.report.tables import interval, number
+
+    if metric is None or metric.value is None:
+        return "", ""
+    return number(metric.value), interval(metric)

@@ -1,0 +1,144 @@
+"""The command `compare` and its page, end to end."""
+
+import dataclasses
+import json
+import re
+
+import pytest
+from test_report import Page, without_scripts
+
+import fgloc
+from fgloc.cli import main
+from fgloc.datasets.drive_folder import write_drive
+from fgloc.outputs import write_comparison
+from fgloc.report.comparison_page import render
+from fgloc.report.versus import errors_of_methods, method_style, plan_of_methods
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return fgloc.make("city", seed=3, duration_s=30.0)
+
+
+@pytest.fixture(scope="module")
+def folder(drive, tmp_path_factory):
+    path = tmp_path_factory.mktemp("compare") / "drive"
+    write_drive(drive, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def table(drive):
+    return fgloc.compare(
+        drive, ["graph-batch", "raw:gnss"],
+        configs={"plain": fgloc.SmoothConfig.model_validate({"gnss": {"loss": "none"}})},
+    )  # fmt: skip
+
+
+def test_the_command_writes_a_table_and_a_page(folder, tmp_path, capsys):
+    (tmp_path / "plain.toml").write_text('[gnss]\nloss = "none"\n')
+    out = tmp_path / "out"
+    status = main([
+        "compare", str(folder), "--methods", "raw:gnss, graph-batch", "--score-from", "5",
+        "--config", f"plain={tmp_path / 'plain.toml'}", "--out", str(out),
+    ])  # fmt: skip
+    shown = capsys.readouterr().out
+    assert status == 0 and f"Results in {out}" in shown and "minus raw:gnss" in shown
+    assert re.search(r"^city +graph-batch +smoothed +0\.", shown, re.MULTILINE)
+    assert {path.name for path in out.iterdir()} == {"compare.json", "report.html"}
+    plain = json.loads((out / "compare.json").read_text())
+    assert plain["methods"] == ["raw:gnss", "graph-batch", "plain"] and plain["score_from_s"] == 5
+    assert [row["causal"] for row in plain["rows"]] == [True, False, False]
+    last = plain["rows"][2]
+    assert last["config"]["gnss"]["loss"] == "none" and last["config"]["versions"]["gtsam"]
+    assert last["difference"]["low"] <= last["difference"]["value"] <= last["difference"]["high"]
+    assert last["wall_s"] > 0 and "freeway" in last["requirements"]
+
+
+def test_seeds_repeat_a_scenario_and_the_means_come_first(tmp_path, capsys):
+    arguments = ["compare", "city", "--seeds", "4:6", "--methods", "raw:gnss", "--no-report"]
+    status = main([*arguments, "--out", str(tmp_path / "out")])
+    shown = capsys.readouterr().out
+    assert status == 0 and shown.startswith("Horizontal RMSE over 2 drives")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"compare.json"}
+    assert main([*arguments, "--json", "--out", str(tmp_path / "out")]) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert [row["seed"] for row in plain["rows"]] == [4, 5]
+    assert plain["overall"][0]["horizontal_rmse_m"]["n"] == 2
+
+
+def test_where_every_run_fails_the_command_does(drive, tmp_path, capsys):
+    write_drive(dataclasses.replace(drive, tables={"gnss": drive.gnss}), tmp_path / "blind")
+    status = main(["compare", str(tmp_path / "blind"), "--methods", "graph-batch", "--no-report",
+                   "--out", str(tmp_path / "out")])  # fmt: skip
+    assert status == 3 and "no method gave a result" in capsys.readouterr().err
+    assert (
+        "no imu" in json.loads((tmp_path / "out" / "compare.json").read_text())["rows"][0]["failed"]
+    )
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--methods", "graph-bach"], "the nearest is 'graph-batch'"),
+        (["--methods", "raw:gnss,raw:gnss"], "'raw:gnss' is there twice"),
+        (["--config", "raw:gnss=x.toml"], "is a method's name or empty"),
+        (["--config", "a=none.toml"], "none.toml: No such file"),
+        (["--methods", "raw:gnss", "--seeds", "0:2"], "seeds go with scenarios"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused_in_one_line(folder, tmp_path, capsys, more, says):
+    assert main(["compare", str(folder), *more, "--out", str(tmp_path / "out")]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and says in err and err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_page_loads_nothing_and_holds_every_section(table):
+    text = render(table)
+    page = Page(text)
+    assert page.loads == ["data:,"] and "http" not in without_scripts(text)
+    assert page.headings == [
+        "3 methods compared", "Run by run", "Plan view: city", "Errors over time: city",
+        "Distribution of errors: city", "How their configurations differ",
+    ]  # fmt: skip
+    assert without_scripts(text).count("gnss.loss") == 1
+    assert "gnss.loss_width" not in text  # what is equal is not listed
+
+
+def test_several_drives_are_summed_up_and_failures_named(drive):
+    blind = dataclasses.replace(drive, name="blind", tables={"gnss": drive.gnss})
+    table = fgloc.compare([drive, drive, blind], ["raw:gnss", "graph-batch"])
+    page = Page(render(table))
+    assert {"overall", "drives", "plan", "plan-1", "plan-2"} <= page.ids
+    assert "city (2 drives), blind" in render(table)
+    assert table.overall()[1].failed == 1 and "no imu" in render(table)
+
+
+def test_without_truth_the_paths_are_shown_all_the_same(drive, tmp_path):
+    table = fgloc.compare(dataclasses.replace(drive, truth=None), ["raw:gnss", "graph-batch"])
+    write_comparison(tmp_path / "out", table)
+    page = Page((tmp_path / "out" / "report.html").read_text())
+    assert "plan" in page.ids and not {"errors", "cdf"} & page.ids
+
+
+def test_labels_are_escaped(drive):
+    evil = fgloc.Method("<img src=x>", lambda of: fgloc.baseline(of, "raw:gnss"))
+    text = render(fgloc.compare(drive, [evil]))
+    assert "<img src=x>" not in text and "&lt;img src=x&gt;" in text
+
+
+def test_each_method_has_a_line_of_its_own_in_every_panel(table):
+    picture = table.pictures[0]
+    lines = errors_of_methods(picture, table.methods)["data"]
+    panels = {name: sum(line["name"] == name for line in lines) for name in table.methods}
+    assert panels == {"graph-batch": 5, "raw:gnss": 4, "plain": 5}  # raw fixes have no heading
+    assert len({line["line"]["color"] for line in lines}) == 3
+    names = [line["name"] for line in plan_of_methods(picture, table.methods)["data"]]
+    assert names == ["truth", "graph-batch", "raw:gnss", "plain"]
+    assert len({method_style(n) for n in range(18)}) == 18
+
+
+def test_trajectories_are_kept_of_the_first_drives_only():
+    table = fgloc.compare("city", ["raw:gnss"], seeds=range(6))
+    assert [picture.seed for picture in table.pictures] == [0, 1, 2, 3] and table.drives == 6
