@@ -65,7 +65,7 @@ class ImuConfig(Section):
 
 
 class SolverConfig(Section):
-    """Settings of the solvers."""
+    """Settings of the solvers; a word alone, `--set solver=gtsam`, is that of the batch."""
 
     batch: Literal["banded", "gtsam"] = "banded"
     """Who solves a batch: our chain with a banded Cholesky, or GTSAM, to the same optimum."""
@@ -124,6 +124,8 @@ def load_config(
         if not equals:
             raise ConfigError(f"--set {setting}: expected key=value, e.g. gnss.loss=none")
         keys = key.strip().split(".")
+        if keys == ["solver"]:
+            keys.append("batch")
         values = merge(values, _nested(keys, parse_value(text.strip())))
         places[".".join(keys)] = "--set"
     given = {key: value for key, value in overrides.items() if value is not None}

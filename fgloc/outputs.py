@@ -261,9 +261,11 @@ def _verdict_rows(table: SourceVerdicts) -> list[str]:
     for row in np.flatnonzero(numbered).tolist():
         numbers = f"{_number(table.nis[row])},{table.dof[row]},{_number(table.threshold[row])}"
         ends[row] = _end(fates[row], reasons[row], numbers)
-    stamps = zip(table.t_ns.tolist(), table.received_ns.tolist(), ends, strict=True)
+    t = list(map(str, table.t_ns.tolist()))
+    at_once = np.array_equal(table.t_ns, table.received_ns)
+    received = t if at_once else list(map(str, table.received_ns.tolist()))
     source = _cell(table.source)
-    return [f"{source},{t},{received},{end}" for t, received, end in stamps]
+    return [f"{source},{a},{b},{end}" for a, b, end in zip(t, received, ends, strict=True)]
 
 
 def _end(fate: str, reason: str, numbers: str) -> str:

@@ -8,7 +8,7 @@ an aiding measurement is true, at either end of an IMU gap, and at least every
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
@@ -83,7 +83,7 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
     first, last = gnss.t_ns[usable[0]], imu.t_ns[-1]
     _judge_early(drive.imu, imu, first, verdicts["imu"])
     gaps = _gaps(imu, first, config.imu.gap_s)
-    keyframes = np.unique(np.concatenate([gnss.t_ns[usable], gaps.ravel(), [first, last]]))
+    keyframes = _merged(gnss.t_ns[usable], gaps.ravel(), [first, last])
     keyframes = _fill(keyframes, config.keyframe_interval_s)
     t_ns = _fill(keyframes, config.output_interval_s)
     fix_row = np.full(len(t_ns), -1)
@@ -175,6 +175,12 @@ def _fill(t_ns: Instants, longest_s: float) -> Instants:
     return np.append(t_ns[which] + span[which] * place // parts[which], t_ns[-1:])
 
 
+def _merged(*instants: ArrayLike) -> Instants:
+    """All instants in order, each once; in runs that are sorted, a stable sort only merges."""
+    both = np.sort(np.concatenate([np.asarray(t) for t in instants]), kind="stable")
+    return both[np.append(True, both[1:] != both[:-1])]
+
+
 def _steps(
     imu: ImuSamples, R_veh_imu: Array, t_ns: Instants
 ) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
@@ -185,7 +191,7 @@ def _steps(
     mm/s^2 that no bias can take up.
     """
     inside = (imu.t_ns > t_ns[0]) & (imu.t_ns < t_ns[-1])
-    knots = np.union1d(imu.t_ns[inside], t_ns)
+    knots = _merged(imu.t_ns[inside], t_ns)
     at, have = elapsed_s(knots, int(t_ns[0])), elapsed_s(imu.t_ns, int(t_ns[0]))
     force = np.stack([np.interp(at, have, column) for column in R_veh_imu @ imu.accel_mps2.T], -1)
     rate = np.stack([np.interp(at, have, column) for column in R_veh_imu @ imu.gyro_radps.T], -1)

@@ -123,3 +123,10 @@ def test_merging_leaves_both_sides_as_they_were():
     assert merge(base, update) == {"a": {"b": 1, "c": 5}, "d": {"e": 6}}
     assert base == {"a": {"b": 1, "c": 2}, "d": 3}
     assert update == {"a": {"c": 5}, "d": {"e": 6}}
+
+
+def test_a_word_alone_chooses_the_solver_of_the_batch():
+    solver = load_config(None, ["solver=gtsam", "solver.max_iterations=7"]).solver
+    assert (solver.batch, solver.max_iterations) == ("gtsam", 7)
+    with pytest.raises(ConfigError, match=r"--set: solver.batch = 'qr'"):
+        load_config(None, ["solver=qr"])
