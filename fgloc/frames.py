@@ -163,23 +163,22 @@ def is_rotation(R: ArrayLike, tolerance: float) -> NDArray[np.bool_]:
 
 def skew(vector: ArrayLike) -> Array:
     """(..., 3) to (..., 3, 3) with skew(a) @ b = a x b."""
-    x, y, z = np.moveaxis(np.asarray(vector, float), -1, 0)
-    o = np.zeros_like(x)
-    return np.stack(
-        [np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2
-    )
+    v = np.asarray(vector, float)
+    W = np.zeros((*v.shape, 3))
+    W[..., 2, 1], W[..., 0, 2], W[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
+    W[..., 1, 2], W[..., 2, 0], W[..., 0, 1] = -v[..., 0], -v[..., 1], -v[..., 2]
+    return W
 
 
 def exp_so3(rotvec_rad: ArrayLike) -> Array:
     """Rotation vectors (..., 3) to matrices (..., 3, 3): Rodrigues' formula."""
     vector = np.asarray(rotvec_rad, float)
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    W = skew(vector)
-    small = angle < _SMALL_RAD
-    safe = np.where(small, 1.0, angle)
-    a = np.where(small, 1 - angle**2 / 6, np.sin(safe) / safe)
-    b = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
-    return np.eye(3) + a * W + b * (W @ W)
+    square = (vector * vector).sum(-1)
+    small = square < _SMALL_RAD**2
+    angle = np.sqrt(np.where(small, 1.0, square))
+    a = np.where(small, 1 - square / 6, np.sin(angle) / angle)
+    b = np.where(small, 0.5 - square / 24, (1 - np.cos(angle)) / angle**2)
+    return _in_skew(vector, square, a, b)
 
 
 def log_so3(R: ArrayLike) -> Array:
@@ -195,18 +194,33 @@ def log_so3(R: ArrayLike) -> Array:
 def right_jacobian_so3(rotvec_rad: ArrayLike) -> Array:
     """Jr with Exp(w + d) = Exp(w) Exp(Jr(w) d) to first order, (..., 3) to (..., 3, 3)."""
     vector = np.asarray(rotvec_rad, float)
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    W = skew(vector)
-    small = angle < 1e-3
-    safe = np.where(small, 1.0, angle)
-    a = np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(safe)) / safe**2)
-    b = np.where(small, 1 / 6 - angle**2 / 120, (safe - np.sin(safe)) / safe**3)
-    return np.eye(3) - a * W + b * (W @ W)
+    square = (vector * vector).sum(-1)
+    small = square < 1e-6
+    angle = np.sqrt(np.where(small, 1.0, square))
+    a = np.where(small, 0.5 - square / 24, (1 - np.cos(angle)) / angle**2)
+    b = np.where(small, 1 / 6 - square / 120, (angle - np.sin(angle)) / angle**3)
+    return _in_skew(vector, square, -a, b)
 
 
 def right_jacobian_inverse_so3(rotvec_rad: ArrayLike) -> Array:
     """Inverse of `right_jacobian_so3`: Log(Exp(w) Exp(d)) = w + Jr^-1(w) d to first order."""
-    return np.asarray(np.linalg.inv(right_jacobian_so3(rotvec_rad)), float)
+    vector = np.asarray(rotvec_rad, float)
+    square = (vector * vector).sum(-1)
+    small = square < 1e-2
+    angle = np.sqrt(np.where(small, 1.0, square))
+    b = np.where(
+        small, 1 / 12 + square * (1 / 720 + square * (1 / 30240 + square / 1209600)),
+        (1 - angle / 2 / np.tan(angle / 2)) / angle**2,
+    )  # fmt: skip
+    return _in_skew(vector, square, np.full_like(square, 0.5), b)
+
+
+def _in_skew(vector: Array, square: Array, a: Array, b: Array) -> Array:
+    """I + a W + b W^2 of W = skew(vector), which has W^2 = w w' - |w|^2 I."""
+    result = (b[..., None] * vector)[..., None] * vector[..., None, :]
+    result += skew(a[..., None] * vector)
+    result[..., range(3), range(3)] += (1 - b * square)[..., None]
+    return result
 
 
 def matrix_to_quat_xyzw(R: ArrayLike) -> Array:

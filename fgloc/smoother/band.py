@@ -6,7 +6,6 @@ in a fraction of a second, and the blocks of the inverse follow from the factor.
 """
 
 from abc import ABC, abstractmethod
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +34,44 @@ class Band:
     """
 
     def __init__(self, n: int, d: int) -> None:
-        self.d = d
         self.columns = np.zeros((n, d, 2 * d))
         self.gradient = np.zeros((n, d))
+
+    def portion(self, first: int, stop: int) -> "Portion":
+        """Room for the terms that begin in blocks first..stop - 1; give it to `take` when full."""
+        return Portion(first, min(stop, len(self.columns)), self.columns.shape[1])
+
+    def take(self, portion: "Portion") -> None:
+        """Add a portion's terms."""
+        n, d, width = self.columns.shape
+        first, stop = portion.first, portion.stop
+        for c in range(d):
+            self.columns[first:stop, c, : width - c] += portion.blocks[:-1, c:, c]
+        self.gradient[first:stop] += portion.gradient[:-1]
+        if stop < n:
+            for c in range(d):
+                self.columns[stop, c, : d - c] += portion.blocks[-1, c:d, c]
+            self.gradient[stop] += portion.gradient[-1]
+
+    def factor(self, damping: Array | float) -> "Factor":
+        """The Cholesky factor of H with a damping (d,) on each block; H may be overwritten.
+
+        Raises NotPositiveError.
+        """
+        self.columns[:, :, 0] += damping
+        return (_Blocks if len(self.columns) < MANY_BLOCKS else _Lapack)(self.columns)
+
+
+class Portion:
+    """Terms of consecutive blocks, each block's lower triangle in full over that of the next.
+
+    `blocks` is (m + 1, 2 d, d): the last is what the terms say of the block after them.
+    """
+
+    def __init__(self, first: int, stop: int, d: int) -> None:
+        self.first, self.stop = first, stop
+        self.blocks = np.zeros((stop - first + 1, 2 * d, d))
+        self.gradient = np.zeros((stop - first + 1, d))
 
     def add(
         self, blocks: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array
@@ -47,21 +81,15 @@ class Band:
         curvature is (M, q, q) and gradient (M, q), of the unknowns `at` (q,), increasing; they are
         counted from the start of the block, and on into the next block from d on.
         """
-        for i, place in enumerate(at.tolist()):
-            step, c = divmod(place, self.d)
-            rows = _rows(blocks + step)
-            self.gradient[rows, c] += gradient[:, i]
-            across = at[i:] - place
-            wide = rows[:, None] if isinstance(rows, np.ndarray) else rows
-            self.columns[wide, c, across] += curvature[:, i:, i]
-
-    def factor(self, damping: Array | float) -> "Factor":
-        """The Cholesky factor of H with a damping (d,) on each block; H may be overwritten.
-
-        Raises NotPositiveError.
-        """
-        self.columns[:, :, 0] += damping
-        return (_Blocks if len(self.columns) < MANY_BLOCKS else _Lapack)(self.columns)
+        d = self.gradient.shape[1]
+        here = int(np.searchsorted(at, d))
+        rows = blocks - self.first
+        _add(self.blocks, (rows, at, at[:here]), curvature[:, :, :here])
+        _add(self.gradient, (rows, at[:here]), gradient[:, :here])
+        if here < len(at):
+            after = at[here:] - d
+            _add(self.blocks, (rows + 1, after, after), curvature[:, here:, here:])
+            _add(self.gradient, (rows + 1, after), gradient[:, here:])
 
 
 class Factor(ABC):
@@ -175,7 +203,10 @@ def _inverse_of_lower(L: Array) -> Array:
     return inverse
 
 
-def _rows(blocks: NDArray[np.int64]) -> Any:
-    """A slice where the blocks are consecutive, which is quicker; else the blocks themselves."""
-    first, n = int(blocks[0]), len(blocks)
-    return slice(first, first + n) if blocks[-1] - first + 1 == n else blocks
+def _add(target: Array, index: tuple[NDArray[np.int64], ...], values: Array) -> None:
+    """Add to the rows and columns of some indices; by slices where they can be, which is quick."""
+    spans = [slice(int(i[0]), int(i[-1]) + 1) for i in index]
+    if all(s.stop - s.start == len(i) for s, i in zip(spans, index, strict=True)):
+        target[tuple(spans)] += values
+    else:
+        target[np.ix_(*index)] += values

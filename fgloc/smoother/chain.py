@@ -35,7 +35,8 @@ POSE, VELOCITY, BIAS, GNSS_BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15
 STATE = np.arange(9)
 COPY_SHARE = 1e-5
 """Of a bias step's variance, the part that the curvature gives to each copy within an interval."""
-INTERVALS_AT_ONCE = 4096
+BLOCKS_AT_ONCE = 1024
+"""The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
 class Term(NamedTuple):
@@ -126,18 +127,29 @@ class Chain:
         climbs far and is what covariances are taken from.
         """
         cost, band = 0.0, Band(self.n, self.width)
-        for term in self._terms(states, gated):
-            J, e = term.jacobian, term.error
-            if term.robust and curvature != "plain":
-                value, across, along = self._loss(e)
-                gradient = np.matmul((e * across)[:, None], J)[:, 0]
-                J = _bent(J, e, across, along if curvature == "newton" else across)
-            else:
-                value = float((e * e).sum()) / 2
-                gradient = np.matmul(e[:, None], J)[:, 0]
-            cost += value
-            band.add(term.blocks, term.at, J.swapaxes(-1, -2) @ J, gradient)
+        for first in range(0, self.n, BLOCKS_AT_ONCE):
+            portion = band.portion(first, first + BLOCKS_AT_ONCE)
+            for term in self._terms(states, gated, portion.first, portion.stop):
+                J, e = term.jacobian, term.error
+                if term.robust and curvature != "plain":
+                    value, across, along = self._loss(e)
+                    gradient = np.matmul((e * across)[:, None], J)[:, 0]
+                    J = _bent(J, e, across, along if curvature == "newton" else across)
+                else:
+                    value = float((e * e).sum()) / 2
+                    gradient = np.matmul(e[:, None], J)[:, 0]
+                cost += value
+                portion.add(term.blocks, term.at, J.swapaxes(-1, -2) @ J, gradient)
+            band.take(portion)
+        self._share_biases(band.gradient)
         return cost, band
+
+    def _share_biases(self, gradient: Array) -> None:
+        """A bias's gradient belongs to its first copy: the others follow it."""
+        first = np.flatnonzero(np.diff(self.bias_of, prepend=-1))
+        total = np.add.reduceat(gradient[:, BIAS], first, axis=0)
+        gradient[:, BIAS] = 0
+        gradient[first[:, None], BIAS] = total
 
     def covariances(self, states: States, gated: NDArray[np.bool_]) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
@@ -152,13 +164,20 @@ class Chain:
             H = np.concatenate([H, np.broadcast_to(np.eye(3), (len(H), 3, 3))], -1)
         return cov[:, :6, :6], H @ cov[self.fixed] @ H.swapaxes(-1, -2)
 
-    def _terms(self, states: States, gated: NDArray[np.bool_]) -> Iterator[Term]:
-        yield from self._priors(states)
-        for first in range(0, self.n - 1, INTERVALS_AT_ONCE):
-            yield self._motion(states, slice(first, min(first + INTERVALS_AT_ONCE, self.n - 1)))
-        yield from self._bias_steps(states)
-        if not gated.all():
-            yield self._fixes(states, ~gated)
+    def _terms(
+        self, states: States, gated: NDArray[np.bool_], first: int, stop: int
+    ) -> Iterator[Term]:
+        """The factors that begin at keyframes first..stop - 1."""
+        if first == 0:
+            yield from self._priors(states)
+        intervals = slice(first, min(stop, self.n - 1))
+        if intervals.start < intervals.stop:
+            yield self._motion(states, intervals)
+            yield from self._bias_steps(states, intervals)
+        within = slice(*np.searchsorted(self.fixed, [first, stop]))
+        kept = np.arange(within.start, within.stop)[~gated[within]]
+        if len(kept):
+            yield self._fixes(states, kept)
 
     def _priors(self, states: States) -> Iterator[Term]:
         """What is known of keyframe 0 before any measurement."""
@@ -190,33 +209,39 @@ class Chain:
         at = np.concatenate([STATE, BIAS, self.width + STATE])
         return Term(np.arange(rows.start, rows.stop), at, _whitened(W, told.error), W @ J)
 
-    def _bias_steps(self, states: States) -> Iterator[Term]:
+    def _bias_steps(self, states: States, rows: slice) -> Iterator[Term]:
         """The walk of the IMU's bias from keyframe to keyframe, and that of GNSS's bias."""
-        yield self._step_term(BIAS, np.diff(states.bias, axis=0), 1.0, self._bias_sigmas)
+        following = slice(rows.start + 1, rows.stop + 1)
+        change = states.bias[following] - states.bias[rows]
+        yield self._step_term(rows, BIAS, change, np.ones(len(change)), self._bias_sigmas[rows])
         if self.width > 15:
-            phi, sigma = self._gnss_walk
-            change = states.gnss_bias[1:] - phi[:, None] * states.gnss_bias[:-1]
-            yield self._step_term(GNSS_BIAS, change, phi, np.repeat(sigma[:, None], 3, 1))
+            phi, sigma = (column[rows] for column in self._gnss_walk)
+            change = states.gnss_bias[following] - phi[:, None] * states.gnss_bias[rows]
+            yield self._step_term(rows, GNSS_BIAS, change, phi, np.repeat(sigma[:, None], 3, 1))
 
     def _step_term(
-        self, at: NDArray[np.int64], change: Array, phi: Array | float, sigma: Array
+        self, rows: slice, at: NDArray[np.int64], change: Array, phi: Array, sigma: Array
     ) -> Term:
-        """x_j+1 - phi x_j ~ N(0, sigma^2) for unknowns `at`; change and sigma are (n - 1, q)."""
+        """x_j+1 - phi x_j ~ N(0, sigma^2) for unknowns `at`; phi is (m,), the others (m, q)."""
         eye = np.eye(len(at))
-        back = -np.broadcast_to(phi, self.n - 1)[:, None, None] * eye
+        back = -phi[:, None, None] * eye
         J = np.concatenate([back, np.broadcast_to(eye, back.shape)], -1) / sigma[..., None]
-        return Term(np.arange(self.n - 1), np.append(at, self.width + at), change / sigma, J)
+        blocks = np.arange(rows.start, rows.stop)
+        return Term(blocks, np.append(at, self.width + at), change / sigma, J)
 
-    def _fixes(self, states: States, kept: NDArray[np.bool_]) -> Term:
-        told, W = self._fix_residual(states), self._whiten_fix[kept]
-        J, at = W @ told.by_pose[kept], POSE
+    def _fixes(self, states: States, kept: NDArray[np.int64]) -> Term:
+        """Those fixes, counted among the chain's own."""
+        told, W = self._fix_residual(states, kept), self._whiten_fix[kept]
+        J, at = W @ told.by_pose, POSE
         if self.width > 15:
             J, at = np.concatenate([J, W], -1), np.append(POSE, GNSS_BIAS)
-        error = _whitened(W, told.error[kept])
+        error = _whitened(W, told.error)
         return Term(self.fixed[kept], at, error, J, robust=not self.model.has_gnss_bias)
 
-    def _fix_residual(self, states: States) -> gnss.GnssResidual:
-        at = self.fixed
+    def _fix_residual(
+        self, states: States, rows: NDArray[np.int64] | slice = slice(None)
+    ) -> gnss.GnssResidual:
+        at = self.fixed[rows]
         z = self.model.fixes.p_world_ant_m[self.model.fix_of[at]]
         return gnss.residual(states.p[at], states.R[at], z, self.model.lever, states.gnss_bias[at])
 

@@ -20,15 +20,22 @@ def systems(request, monkeypatch):
     monkeypatch.setattr(band, "MANY_BLOCKS", 100 if request.param == "numpy" else 0)
     rng = np.random.default_rng(0)
     banded, H, g = Band(9, 4), np.zeros((36, 36)), np.zeros(36)
+    portions = [banded.portion(0, 5), banded.portion(5, 20)]
     for blocks, at in TERMS:
         J = rng.normal(size=(len(blocks), 6, len(at)))
         error = rng.normal(size=(len(blocks), 6))
         curvature, gradient = J.swapaxes(1, 2) @ J, np.einsum("nm,nmq->nq", error, J)
-        banded.add(np.array(blocks), np.array(at), curvature, gradient)
+        for portion in portions:
+            rows = [k for k, j in enumerate(blocks) if portion.first <= j < portion.stop]
+            if rows:
+                those = np.array(blocks)[rows]
+                portion.add(those, np.array(at), curvature[rows], gradient[rows])
         for j, square, slope in zip(blocks, curvature, gradient, strict=True):
             rows = 4 * j + np.array(at)
             H[np.ix_(rows, rows)] += square
             g[rows] += slope
+    for portion in portions:
+        banded.take(portion)
     return banded, H, g
 
 
@@ -60,7 +67,9 @@ def test_blocks_of_the_inverse_are_those_of_the_dense_one(systems, monkeypatch, 
 def test_what_nothing_holds_is_named(monkeypatch, many):
     monkeypatch.setattr(band, "MANY_BLOCKS", many)
     banded = Band(3, 2)
-    banded.add(np.array([0, 2]), np.array([0, 1]), np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)))
+    portion = banded.portion(0, 3)
+    portion.add(np.array([0, 2]), np.arange(2), np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)))
+    banded.take(portion)
     with pytest.raises(NotPositiveError) as caught:
         banded.factor(0.0)
     assert caught.value.unknown == 2
