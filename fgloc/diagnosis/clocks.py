@@ -1,0 +1,231 @@
+"""Checks of the clocks: units and epochs, spans that do not meet, lags, latencies."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from fgloc.diagnosis.finding import Finding, fault, remark, rows_of, warning
+from fgloc.diagnosis.lag import Lag, speed_lag
+from fgloc.diagnosis.motion import Motion, Signal
+from fgloc.diagnosis.witness import Witness, significant
+from fgloc.drive import Drive
+from fgloc.errors import InputError
+from fgloc.measurements import GnssFixes, Table, WheelSpeeds
+from fgloc.timing import GPS_EPOCH_UNIX_S, NS_PER_S, TAI_MINUS_GPS_S, gps_minus_utc_s, iso_utc
+from fgloc.trajectory import Trajectory
+
+NTP_EPOCH_S = 2_208_988_800  # from 1900 to 1970
+FIRST_S, LAST_S = GPS_EPOCH_UNIX_S, 3_471_292_800
+"""Recordings are from 1980 (GPS time begins) to 2080; elsewhere lies another epoch."""
+FASTEST_S = 5e-4
+"""Rows closer than this (2 kHz) are in another unit than ns, where the date is impossible too."""
+UNITS = ((1_000, "microseconds"), (1_000_000, "milliseconds"), (NS_PER_S, "seconds"))
+SMALLEST_LAG_S = 0.05
+"""Below it a stamp is the sensor's own delay, and the lag costs a car in town less than 1 m."""
+EARLY_S, OLD_S = 1e-3, 10.0
+DRIFT, DRIFT_S = 1e-4, 0.05
+"""Quartz keeps time to 1e-4; a latency that grows faster, and so far, is a clock that drifts."""
+_ENDS = 20  # rows at either end whose smallest latency is compared
+_MEETS_S = 1.0
+
+
+def check_epochs(drive: Drive) -> Iterator[Finding]:
+    """Stamps that are not nanoseconds of POSIX time."""
+    relative = []
+    for name, table in _clocks(drive).items():
+        start_s = int(table.t_ns[0]) / NS_PER_S
+        if _too_dense(table):
+            yield _not_ns(name, table)
+        elif 0 <= start_s < FIRST_S:
+            relative.append(name)
+        elif not FIRST_S <= start_s <= LAST_S:
+            yield warning(
+                "epoch", name, f"t_ns begins at {iso_utc(int(table.t_ns[0]))}",
+                "stamps are POSIX time (from 1970, UTC); NTP counts from 1900, GPS from 1980",
+            )  # fmt: skip
+    if relative and len(relative) == len(_clocks(drive)):
+        yield remark("epoch", "drive", "t_ns counts from a zero of the recorder's own, not from "
+        "1970",
+                     "none needed while all tables share it")  # fmt: skip
+
+
+def _too_dense(table: Table | Trajectory) -> bool:
+    """Whether stamps can be no nanoseconds: rows come too fast, and of an impossible date."""
+    return int(table.t_ns[0]) < FIRST_S * NS_PER_S and _interval_ns(table) < FASTEST_S * NS_PER_S
+
+
+def _interval_ns(table: Table | Trajectory) -> float:
+    return float(np.median(np.diff(table.t_ns))) if len(table) > 1 else NS_PER_S
+
+
+def _not_ns(name: str, table: Table | Trajectory) -> Finding:
+    first = int(table.t_ns[0])
+    fits = [
+        (factor, unit) for factor, unit in UNITS if FIRST_S <= first * factor / NS_PER_S <= LAST_S
+    ]
+    what = f"t_ns begins at {first} and rows are {_interval_ns(table):,.0f} ns apart"
+    if not fits:
+        return fault("time-unit", name, what, "the unit of t_ns is the nanosecond: multiply")
+    factor, unit = fits[0]
+    return fault("time-unit", name, f"{what}: it is in {unit}", f"multiply t_ns by {factor:,}")
+
+
+def check_overlap(drive: Drive) -> Iterator[Finding]:
+    """Tables that tell of different times altogether, or hardly of the same."""
+    clocks = _clocks(drive)
+    gnss = clocks.pop("gnss", None)
+    if gnss is None or len(gnss) < 2:
+        return
+    for name, table in clocks.items():
+        if _too_dense(table):
+            continue  # told of already
+        missed = (gnss.t_ns < table.t_ns[0]) | (gnss.t_ns > table.t_ns[-1])
+        if missed.all():
+            start_s = (int(table.t_ns[0]) - int(gnss.t_ns[0])) / NS_PER_S
+            known = _known_offset(start_s, int(gnss.t_ns[0]), 600.0)
+            yield fault(
+                "no-overlap", name, f"no row within the time of the fixes; it begins "
+                f"{abs(start_s):,.1f} s {'after' if start_s > 0 else 'before'} them{known}",
+                "bring both to UTC: GPS seconds count from 1980-01-06 and are ahead by the leap "
+                "seconds",
+            )  # fmt: skip
+        elif name == "imu" and missed.any():
+            yield _partly(gnss, missed)
+
+
+def _partly(gnss: Table, missed: np.ndarray) -> Finding:  # type: ignore[type-arg]
+    what = f"{int(missed.sum()):,} of {len(gnss):,} fixes lie before or after the IMU's rows"
+    if missed.mean() > 0.5:
+        return warning("coverage", "imu", what, "these fixes cannot be used; is the IMU cut?")
+    return remark("coverage", "imu", what, "none needed; these fixes are left out")
+
+
+def check_lags(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
+    """Clocks against that of the fixes, by the motion that both tell of, or by the spans."""
+    if witness is not None and witness.lag is not None:
+        yield from _lag("imu", drive, witness.lag)
+    elif "imu" in drive.tables:
+        yield from _spans("imu", drive, drive.tables["imu"])
+    wheel, motion = drive.tables.get("wheel"), Motion.of(drive)
+    if isinstance(wheel, WheelSpeeds) and motion is not None and len(wheel) > 1:
+        finite = np.isfinite(wheel.speed_mps)
+        speed = wheel.speed_mps[finite][:, None]
+        lag = speed_lag(motion, Signal.of_level(wheel.t_ns[finite], speed, motion.start_ns))
+        if lag is not None:
+            yield from _lag("wheel", drive, lag)
+
+
+def _lag(name: str, drive: Drive, lag: Lag) -> Iterator[Finding]:
+    gnss = drive.gnss
+    told = f"{abs(lag.lag_s):.2f} s (sigma {lag.sigma_s:.2f} s)"
+    if not significant(lag) or abs(lag.lag_s) < SMALLEST_LAG_S:
+        yield remark("lag", name, f"its clock and that of gnss agree as far as the motion tells: "
+                     f"{told}", "none")  # fmt: skip
+        return
+    late, early = (name, "gnss") if lag.lag_s > 0 else ("gnss", name)
+    known = _known_offset(abs(lag.lag_s), int(gnss.t_ns[0]), max(0.5, 3 * lag.sigma_s))
+    off_m = abs(lag.lag_s) * float(np.median(_speed(drive)))
+    severity = fault if abs(lag.lag_s) > 1 or off_m > 3 * _claimed_m(gnss) else warning
+    yield severity(
+        "lag", late, f"the same motion bears stamps {told} later than in {early}{known}; at the "
+        "speed "
+        f"of this drive that is {off_m:,.1f} m", f"take {abs(lag.lag_s):.2f} s off t_ns of "
+        f"{late}, or "
+        f"add it to {early}: stamps tell when a measurement was true, in UTC",
+    )  # fmt: skip
+
+
+def _spans(name: str, drive: Drive, table: Table) -> Iterator[Finding]:
+    """Where motion does not tell: both ends of a table out by the same known offset."""
+    gnss = drive.tables.get("gnss")
+    if gnss is None or len(gnss) < 2 or len(table) < 2:
+        return
+    first_s, last_s = ((int(table.t_ns[i]) - int(gnss.t_ns[i])) / NS_PER_S for i in (0, -1))
+    if table.t_ns[0] > gnss.t_ns[-1] or table.t_ns[-1] < gnss.t_ns[0]:
+        return  # told of already
+    known = _known_offset((first_s + last_s) / 2, int(gnss.t_ns[0]), _MEETS_S)
+    if abs(first_s - last_s) < _MEETS_S and abs(first_s) > _MEETS_S and known:
+        yield warning("lag", name, f"begins and ends {abs(first_s):,.1f} s "
+                      f"{'after' if first_s > 0 else 'before'} gnss{known}",
+                      "if both were recorded together, bring their stamps to UTC")  # fmt: skip
+
+
+def check_latency(drive: Drive) -> Iterator[Finding]:
+    """When measurements arrived: not before they were true, and at a steady delay."""
+    for name, table in drive.tables.items():
+        if not len(table):
+            continue
+        late_s = (table.received_ns - table.t_ns) / NS_PER_S
+        early = np.flatnonzero(late_s < -EARLY_S)
+        if len(early):
+            yield warning(
+                "latency", name, f"received up to {-late_s.min():,.3f} s before it was true in "
+                f"{rows_of(table, early)}",
+                "t_ns and received_ns are of two clocks; bring both to one, or leave received_ns "
+                "out",
+            )  # fmt: skip
+        elif np.median(late_s) > OLD_S:
+            known = _known_offset(float(np.median(late_s)), int(table.t_ns[0]), 1.0)
+            yield warning(
+                "latency", name, f"received {np.median(late_s):,.1f} s after it was true{known}",
+                "t_ns and received_ns are of two clocks; bring both to one, or leave received_ns "
+                "out",
+            )  # fmt: skip
+        yield from _drift(name, table, late_s)
+
+
+def _drift(name: str, table: Table, late_s: np.ndarray) -> Iterator[Finding]:  # type: ignore[type-arg]
+    """The smallest latency is what a clock adds to the way; it must not grow with time."""
+    if len(table) < 4 * _ENDS:
+        return
+    parts = np.array_split(late_s, 4)
+    grows_s = float(parts[-1].min() - parts[0].min())
+    span_s = (int(table.t_ns[-1]) - int(table.t_ns[0])) / NS_PER_S * 0.75
+    if abs(grows_s) > max(DRIFT_S, DRIFT * span_s):
+        yield warning(
+            "drift", name, f"received_ns moves against t_ns by {grows_s:+.3f} s over "
+            f"{span_s:,.0f} s "
+            f"({grows_s / span_s * 1e6:+,.0f} ppm)",
+            "one of the two clocks drifts, or a queue grows: stamp both by one clock",
+        )  # fmt: skip
+
+
+def _clocks(drive: Drive) -> dict[str, Table | Trajectory]:
+    tables: Mapping[str, Table | Trajectory] = drive.tables
+    clocks = {name: table for name, table in tables.items() if len(table)}
+    return (
+        clocks if drive.truth is None or not len(drive.truth) else clocks | {"truth": drive.truth}
+    )
+
+
+def _known_offset(offset_s: float, t_ns: int, within_s: float) -> str:
+    """', as ... would' for an offset between two well-known clocks, or nothing."""
+    try:
+        leap_s = gps_minus_utc_s(t_ns / NS_PER_S)
+    except InputError:
+        leap_s = gps_minus_utc_s(LAST_S)
+    known = (
+        (leap_s, "GPS time against UTC"),
+        (TAI_MINUS_GPS_S, "TAI against GPS time"),
+        (leap_s + TAI_MINUS_GPS_S, "TAI against UTC"),
+        (GPS_EPOCH_UNIX_S, "the epoch of GPS (1980) against that of POSIX (1970)"),
+        (NTP_EPOCH_S, "the epoch of NTP (1900) against that of POSIX (1970)"),
+        *((3600 * hours, f"a time zone of {hours} h") for hours in range(1, 15)),
+    )
+    distance = [abs(abs(offset_s) - seconds) for seconds, _ in known]
+    nearest = int(np.argmin(distance))
+    if distance[nearest] > within_s:
+        return ""
+    seconds, name = known[nearest]
+    return f", like {name} ({seconds:,} s)"
+
+
+def _speed(drive: Drive) -> np.ndarray:  # type: ignore[type-arg]
+    motion = Motion.of(drive)
+    assert motion is not None  # or there would be no lag
+    return motion.speed_mps[motion.steps]
+
+
+def _claimed_m(gnss: GnssFixes) -> float:
+    trace = gnss.cov_world_m2[:, 0, 0] + gnss.cov_world_m2[:, 1, 1]
+    return float(np.sqrt(np.nanmedian(trace)))

@@ -1,0 +1,195 @@
+"""Checks of the IMU against gravity and against the motion of the fixes: units, axes, signs."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from fgloc.diagnosis.finding import Finding, fault, remark, warning
+from fgloc.diagnosis.motion import FEWEST_STEPS, fit
+from fgloc.diagnosis.planar import Planar
+from fgloc.diagnosis.witness import Witness
+from fgloc.drive import Drive
+from fgloc.measurements import Array, ImuSamples
+
+GRAVITY_MPS2 = 9.80665
+NEAR = 0.2
+"""Gravity with the bias of the worst sensor and the sway of a whole drive is known better."""
+UNITS = (
+    (1.0, "g", "multiply by 9.80665"),
+    (1000.0, "mg", "multiply by 0.00980665"),
+    (32.174, "ft/s^2", "multiply by 0.3048"),
+    (980.665, "cm/s^2", "divide by 100"),
+)
+"""What one g reads in other units."""
+TILT_DEG = 15.0
+"""Streets and springs tilt a car by less on average over a drive."""
+MISALIGNED_DEG = 30.0
+DEGREES = 180 / np.pi
+FASTEST_RADPS = 3.0
+"""A vehicle that turns this fast for more than a moment is spinning."""
+_SIGNIFICANT = 5.0
+
+
+def check_gravity(drive: Drive) -> Iterator[Finding]:
+    """The median specific force: one g, upwards, in m/s^2."""
+    imu = drive.tables.get("imu")
+    if not isinstance(imu, ImuSamples):
+        return
+    force = mean_force(drive, imu)
+    size = float(np.linalg.norm(force))
+    if not abs(size / GRAVITY_MPS2 - 1) < NEAR:
+        yield _unit(size)
+    if size > 0 and not _weightless(size):
+        yield from _upright(force / size)
+
+
+def _unit(size: float) -> Finding:
+    for one_g, unit, remedy in UNITS:
+        if abs(size / one_g - 1) < NEAR:
+            return fault("accel-unit", "imu", f"the accelerometer reads {size:.4g} at rest: it "
+            "is in "
+                         f"{unit}, not in m/s^2", remedy)  # fmt: skip
+    if _weightless(size):
+        return fault("accel-gravity", "imu", f"the accelerometer reads {size:.3g} m/s^2 on "
+        "average: "
+                     "gravity has been taken out", "record the specific force itself, which is 9.8 "
+                     "m/s^2 upwards at rest")  # fmt: skip
+    return fault("accel-unit", "imu", f"the accelerometer reads {size:.4g} on average, gravity is "
+                 f"{GRAVITY_MPS2:.2f} m/s^2", "check its unit and scale")  # fmt: skip
+
+
+def _weightless(size: float) -> bool:
+    return size < GRAVITY_MPS2 / 4 and not abs(size - 1) < NEAR
+
+
+def _upright(up: Array) -> Iterator[Finding]:
+    tilt_deg = float(np.degrees(np.arccos(np.clip(up[2], -1, 1))))
+    if tilt_deg > 180 - MISALIGNED_DEG:
+        yield fault("imu-axes", "imu", "gravity reads along -z: the axes are z-down (forward-right-"
+                    "down, NED), or gravity has the wrong sign", "turn y and z of accel and gyro "
+                    "round "
+                    "when you convert, or state the mounting in rig.T_veh_imu")  # fmt: skip
+    elif tilt_deg > MISALIGNED_DEG:
+        axis = "xyz"[int(np.argmax(np.abs(up)))]
+        yield fault("imu-axes", "imu", f"gravity reads {tilt_deg:.0f} deg from the vehicle's z, "
+        "most "
+                    f"of it along {axis}", "the axes are exchanged: state the mounting in "
+                    "rig.T_veh_imu")  # fmt: skip
+    elif tilt_deg > TILT_DEG:
+        yield warning("imu-axes", "imu", f"gravity reads {tilt_deg:.0f} deg from the vehicle's z",
+                      "state the tilt of the mounting in rig.T_veh_imu")  # fmt: skip
+
+
+def check_turns(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
+    """Turns by the gyro against those of the course: unit and sign; and who is mirrored."""
+    gain = _turn_gain(witness)
+    if gain is None:
+        yield from _spinning(drive)
+        return
+    if in_degrees(witness):
+        yield fault("gyro-unit", "imu", f"the gyro turns {1 / abs(gain):.0f} times as far as the "
+                    "course: it is in deg/s, not in rad/s", "multiply by pi/180")  # fmt: skip
+    elif not 1 - 2 * NEAR < abs(gain) < 1 / (1 - 2 * NEAR):
+        yield warning("gyro-unit", "imu", f"the course turns by {abs(gain):.3g} of what the gyro "
+        "says",
+                      "check its unit and scale, and that z is the vertical axis")  # fmt: skip
+    if gain < 0:
+        yield from _opposite(drive, witness)
+
+
+def in_degrees(witness: Witness | None) -> bool:
+    """Whether the gyro turns as far in degrees as the course does in rad."""
+    gain = _turn_gain(witness)
+    return gain is not None and abs(abs(gain) * DEGREES - 1) < 2 * NEAR
+
+
+def _opposite(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
+    """The course turns against the gyro. In a left turn the specific force points to the left."""
+    imu = drive.tables["imu"]
+    assert isinstance(imu, ImuSamples) and witness is not None  # or there would be no gain
+    if mean_force(drive, imu)[2] < 0:
+        return  # z-down axes turn the other way, and have been told of
+    planar = _pushes(witness)
+    told = "the course turns right where the gyro turns left"
+    if planar is None:
+        yield fault("turn-sign", "gnss", f"{told}: the gyro's z is down, or the fixes are mirrored "
+                    "(north and east exchanged)", "check both: the gyro is positive to the left, "
+                    "positions are east, north, up")  # fmt: skip
+    elif planar.mirrored:
+        yield fault("mirrored", "gnss", f"{told}, and the accelerometer agrees with the gyro: the "
+                    "fixes are mirrored, north and east exchanged (NED read as ENU)",
+                    "write east_m, north_m, up_m in that order")  # fmt: skip
+    else:
+        yield fault("gyro-sign", "imu", f"{told}, and the accelerometer agrees with the course: "
+        "the "
+                    "gyro has the wrong sign", "gyro z is positive to the left, seen from "
+                    "above")  # fmt: skip
+
+
+def check_pushes(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
+    """Forward and sideways force against changes of velocity: the IMU's axes seen from above."""
+    planar = None if witness is None else _pushes(witness)
+    gain = _turn_gain(witness)
+    imu = drive.tables.get("imu")
+    if planar is None or not isinstance(imu, ImuSamples) or mean_force(drive, imu)[2] < 0:
+        return
+    if planar.mirrored and gain is not None and gain > 0:
+        yield fault("imu-axes", "imu", "the accelerometer is the mirror image of the motion, the "
+        "gyro "
+                    "is not: one of its axes x, y has the wrong sign, or they are exchanged",
+                    "x is forward and y is left")  # fmt: skip
+    elif not planar.mirrored and abs(planar.turn_deg) > MISALIGNED_DEG:
+        yield fault("imu-axes", "imu", f"the accelerometer's axes stand {-planar.turn_deg:+.0f} "
+        "deg "
+                    "about up from forward and left", "state the mounting in rig.T_veh_imu, or "
+                    "exchange the columns")  # fmt: skip
+
+
+def check_motion(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
+    """Whether the vehicle moved enough for anything of this to be seen."""
+    if {"gnss", "imu"} <= set(drive.tables) and (
+        witness is None or witness.use.sum() < FEWEST_STEPS
+    ):
+        yield remark("little-motion", "drive", "too little motion under fixes and IMU to check "
+        "axes "
+                     "and clocks against each other", "none; a drive with turns and stops tells "
+                     "more")  # fmt: skip
+
+
+def mean_force(drive: Drive, imu: ImuSamples) -> Array:
+    """Median specific force (3,), vehicle axes, in the unit of the table."""
+    finite = np.isfinite(imu.accel_mps2).all(-1)
+    if not finite.any():
+        return np.zeros(3)
+    median = np.median(imu.accel_mps2[finite], axis=0)
+    return np.asarray(drive.rig.T_veh_imu[:3, :3] @ median, float)
+
+
+def _turn_gain(witness: Witness | None) -> float | None:
+    """Turn of the course per turn of the gyro, or None where the drive does not tell."""
+    if witness is None or witness.use.sum() < FEWEST_STEPS:
+        return None
+    turn = witness.turn_rad[witness.use]
+    A = np.column_stack([turn, np.ones_like(turn)])
+    gain, sigma = fit(A, witness.motion.turn_rad[witness.use])
+    return float(gain[0]) if abs(gain[0]) > _SIGNIFICANT * sigma[0] else None
+
+
+def _pushes(witness: Witness) -> Planar | None:
+    """From the accelerometer's pushes to those of the fixes."""
+    use = witness.use
+    if use.sum() < FEWEST_STEPS:
+        return None
+    return Planar.of(witness.motion.push_mps[use], witness.push_mps[use], constant=True)
+
+
+def _spinning(drive: Drive) -> Iterator[Finding]:
+    """Without a course: rates that no vehicle keeps up."""
+    imu = drive.tables.get("imu")
+    if not isinstance(imu, ImuSamples):
+        return
+    often = float(np.nanquantile(np.abs(imu.gyro_radps), 0.9)) if len(imu) else 0.0
+    if often > FASTEST_RADPS:
+        yield fault("gyro-unit", "imu", f"a tenth of the gyro's values exceed {often:.3g} rad/s: "
+        "it is "
+                    "in deg/s, not in rad/s", "multiply by pi/180")  # fmt: skip
