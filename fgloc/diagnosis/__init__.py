@@ -45,7 +45,6 @@ CHECKS: tuple[Callable[[Drive], Iterator[Finding]], ...] = (
     rig.check_lever_arms,
     speeds.check_wheel,
     truth.check_truth,
-    truth.check_truth_attitude,
 )
 """Checks of tables by themselves, or against one other."""
 

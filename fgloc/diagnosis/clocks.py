@@ -7,7 +7,7 @@ import numpy as np
 from fgloc.diagnosis.finding import Finding, fault, remark, rows_of, warning
 from fgloc.diagnosis.lag import Lag, speed_lag
 from fgloc.diagnosis.motion import Motion, Signal
-from fgloc.diagnosis.witness import Witness, significant
+from fgloc.diagnosis.witness import Witness
 from fgloc.drive import Drive
 from fgloc.errors import InputError
 from fgloc.measurements import GnssFixes, Table, WheelSpeeds
@@ -118,7 +118,7 @@ def check_lags(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
 def _lag(name: str, drive: Drive, lag: Lag) -> Iterator[Finding]:
     gnss = drive.gnss
     told = f"{abs(lag.lag_s):.2f} s (sigma {lag.sigma_s:.2f} s)"
-    if not significant(lag) or abs(lag.lag_s) < SMALLEST_LAG_S:
+    if not lag.is_significant or abs(lag.lag_s) < SMALLEST_LAG_S:
         yield remark("lag", name, f"its clock and that of gnss agree as far as the motion tells: "
                      f"{told}", "none")  # fmt: skip
         return

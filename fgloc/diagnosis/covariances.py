@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, robust_sigma, rows_of, warning
 from fgloc.diagnosis.gnss import even_triples, fixes_of, second_differences, sound_fixes
+from fgloc.diagnosis.inertial import in_mps2
 from fgloc.diagnosis.motion import Signal
 from fgloc.diagnosis.sampling import usual_interval_s
 from fgloc.drive import Drive
@@ -108,7 +109,7 @@ def _scatter(what: str, second: Array, sigma_m: Array, motion_m: Array) -> Itera
 def _push_mps2(drive: Drive, gnss: GnssFixes, rows: NDArray[np.int64]) -> Array:
     """(M,) how hard the vehicle was pushed at the fixes: by the IMU, or what may be expected."""
     imu = drive.tables.get("imu")
-    if not isinstance(imu, ImuSamples) or len(imu) < 2:
+    if not isinstance(imu, ImuSamples) or len(imu) < 2 or not in_mps2(drive, imu):
         return np.full(len(rows), PUSH_MPS2)
     start_ns = int(gnss.t_ns[0])
     accel = imu.accel_mps2 @ drive.rig.T_veh_imu[:3, :3].T

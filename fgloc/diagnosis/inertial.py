@@ -37,10 +37,15 @@ def check_gravity(drive: Drive) -> Iterator[Finding]:
         return
     force = mean_force(drive, imu)
     size = float(np.linalg.norm(force))
-    if not abs(size / GRAVITY_MPS2 - 1) < NEAR:
+    if not in_mps2(drive, imu):
         yield _unit(size)
     if size > 0 and not _weightless(size):
         yield from _upright(force / size)
+
+
+def in_mps2(drive: Drive, imu: ImuSamples) -> bool:
+    """Whether the accelerometer reads gravity in its unit."""
+    return bool(abs(np.linalg.norm(mean_force(drive, imu)) / GRAVITY_MPS2 - 1) < NEAR)
 
 
 def _unit(size: float) -> Finding:
@@ -82,14 +87,15 @@ def _upright(up: Array) -> Iterator[Finding]:
 
 def check_turns(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
     """Turns by the gyro against those of the course: unit and sign; and who is mirrored."""
-    gain = _turn_gain(witness)
-    if gain is None:
+    found = _turn_gain(witness)
+    if found is None:
         yield from _spinning(drive)
         return
+    gain, sure = found
     if in_degrees(witness):
         yield fault("gyro-unit", "imu", f"the gyro turns {1 / abs(gain):.0f} times as far as the "
                     "course: it is in deg/s, not in rad/s", "multiply by pi/180")  # fmt: skip
-    elif not 1 - 2 * NEAR < abs(gain) < 1 / (1 - 2 * NEAR):
+    elif not 1 - 2 * NEAR < abs(gain) < 1 / (1 - 2 * NEAR) and abs(abs(gain) - 1) > sure:
         yield warning("gyro-unit", "imu", f"the course turns by {abs(gain):.3g} of what the gyro "
         "says",
                       "check its unit and scale, and that z is the vertical axis")  # fmt: skip
@@ -99,8 +105,8 @@ def check_turns(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
 
 def in_degrees(witness: Witness | None) -> bool:
     """Whether the gyro turns as far in degrees as the course does in rad."""
-    gain = _turn_gain(witness)
-    return gain is not None and abs(abs(gain) * DEGREES - 1) < 2 * NEAR
+    found = _turn_gain(witness)
+    return found is not None and abs(abs(found[0]) * DEGREES - 1) < 2 * NEAR
 
 
 def _opposite(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
@@ -133,7 +139,7 @@ def check_pushes(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
     imu = drive.tables.get("imu")
     if planar is None or not isinstance(imu, ImuSamples) or mean_force(drive, imu)[2] < 0:
         return
-    if planar.mirrored and gain is not None and gain > 0:
+    if planar.mirrored and gain is not None and gain[0] > 0:
         yield fault("imu-axes", "imu", "the accelerometer is the mirror image of the motion, the "
         "gyro "
                     "is not: one of its axes x, y has the wrong sign, or they are exchanged",
@@ -165,14 +171,18 @@ def mean_force(drive: Drive, imu: ImuSamples) -> Array:
     return np.asarray(drive.rig.T_veh_imu[:3, :3] @ median, float)
 
 
-def _turn_gain(witness: Witness | None) -> float | None:
-    """Turn of the course per turn of the gyro, or None where the drive does not tell."""
+def _turn_gain(witness: Witness | None) -> tuple[float, float] | None:
+    """Turn of the course per turn of the gyro and how far it may be out by chance.
+
+    None where the drive does not tell.
+    """
     if witness is None or witness.use.sum() < FEWEST_STEPS:
         return None
     turn = witness.turn_rad[witness.use]
     A = np.column_stack([turn, np.ones_like(turn)])
     gain, sigma = fit(A, witness.motion.turn_rad[witness.use])
-    return float(gain[0]) if abs(gain[0]) > _SIGNIFICANT * sigma[0] else None
+    sure = _SIGNIFICANT * float(sigma[0])
+    return (float(gain[0]), sure) if abs(gain[0]) > sure else None
 
 
 def _pushes(witness: Witness) -> Planar | None:

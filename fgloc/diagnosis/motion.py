@@ -25,6 +25,8 @@ SLOWEST_MPS = 3.0
 SHARED = 2 * HALF_WINDOW_S / STEP_S
 """So many neighbouring steps tell of the same seconds, and count as one."""
 FEWEST_STEPS = 20
+LONGEST_M = 10.0
+"""From the rear axle to the bumper of a bus; a lever arm in cm or mm is far longer."""
 _SPARSEST_S = 2.5  # fixes further apart tell nothing of single turns
 _MOST_HZ = 10.0
 

@@ -5,16 +5,14 @@ from collections.abc import Iterator
 import numpy as np
 
 from fgloc.diagnosis.finding import Finding, fault, robust_sigma, warning
-from fgloc.diagnosis.inertial import GRAVITY_MPS2, NEAR, in_degrees, mean_force
+from fgloc.diagnosis.inertial import NEAR, in_degrees, in_mps2
 from fgloc.diagnosis.lag import sideslip
-from fgloc.diagnosis.motion import FEWEST_STEPS, fit
+from fgloc.diagnosis.motion import FEWEST_STEPS, LONGEST_M, fit
 from fgloc.diagnosis.sampling import usual_interval_s
-from fgloc.diagnosis.witness import Witness, significant
+from fgloc.diagnosis.witness import Witness
 from fgloc.drive import Drive, ImuNoise
 from fgloc.measurements import Array, ImuSamples
 
-LONGEST_M = 10.0
-"""From the rear axle to the bumper of a bus; a lever arm in cm or mm is far longer."""
 BELOW_M = -0.5
 """Antennas see the sky, so they are not under the vehicle."""
 NOISE = {
@@ -56,7 +54,7 @@ def check_slip(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
     claimed_m = float(drive.rig.p_veh_ant_m[0])
     if witness is None or witness.use.sum() < FEWEST_STEPS or abs(claimed_m) > LONGEST_M:
         return
-    if witness.lag is not None and significant(witness.lag):
+    if witness.lag is not None and witness.lag.is_significant:
         return
     motion, use = witness.motion, witness.use
     slip = sideslip(motion, motion.smoothed(witness.imu)[:, 0])[use]
@@ -83,14 +81,16 @@ def check_noise(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
                     "give it in drive.toml, from the data sheet or an Allan plot")  # fmt: skip
         return
     yield from _impossible(noise)
-    yield from _too_quiet(imu, noise, _in_si(drive, imu, witness))
+    yield from _too_quiet(imu, noise, (in_mps2(drive, imu), not in_degrees(witness)))
 
 
 def _impossible(noise: ImuNoise) -> Iterator[Finding]:
     for name, value in vars(noise).items():
         if not (np.isfinite(value) and value > 0):
-            yield fault("noise", "rig", f"rig.imu_noise.{name} = {value:g}",
-                        "a noise must be above 0, or its measurements are taken for exact")  # fmt: skip
+            yield fault(
+                "noise", "rig", f"rig.imu_noise.{name} = {value:g}",
+                "a noise must be above 0, or its measurements are taken for exact",
+            )  # fmt: skip
     for name, (low, high, unit) in NOISE.items():
         value = getattr(noise, name)
         if value > high or 0 < value < low:
@@ -102,14 +102,11 @@ def _impossible(noise: ImuNoise) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def _in_si(drive: Drive, imu: ImuSamples, witness: Witness | None) -> tuple[bool, bool]:
-    """Whether accelerometer and gyro are in their units; others are told of elsewhere."""
-    size = float(np.linalg.norm(mean_force(drive, imu)))
-    return abs(size / GRAVITY_MPS2 - 1) < NEAR, not in_degrees(witness)
-
-
 def _too_quiet(imu: ImuSamples, noise: ImuNoise, in_si: tuple[bool, bool]) -> Iterator[Finding]:
-    """White noise of density d has differences of d sqrt(2 rate)."""
+    """White noise of density d has differences of d sqrt(2 rate).
+
+    `in_si` tells of accelerometer and gyro whether their unit is right; others are told of already.
+    """
     for (name, (_, high, unit)), values, trusted in zip(
         NOISE.items(), (imu.accel_mps2, imu.gyro_radps), in_si, strict=True
     ):

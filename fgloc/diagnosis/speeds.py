@@ -12,6 +12,7 @@ from fgloc.drive import Drive
 from fgloc.measurements import WheelSpeeds
 
 SPEED_UNITS = ((1 / 3.6, "km/h"), (0.44704, "mph"), (0.514444, "knots"), (0.001, "mm/s"))
+TURNED_DEG = 30.0
 SCALE = 0.1
 """Tyres wear and shrink by a few percent, not by a tenth."""
 
@@ -26,24 +27,38 @@ def check_velocities(drive: Drive) -> Iterator[Finding]:
         return
     signal = Signal.of_level(gnss.t_ns[given], gnss.v_world_mps[given], motion.start_ns)
     said, knots = motion.smoothed(signal), motion.steps
-    planar = Planar.of(motion.v_mps[knots, :2], said[knots, :2])
-    if planar is not None and planar.mirrored:
-        yield fault("velocity", "gnss", "the velocities are the mirror image of what the "
-        "positions do "
-                    "(east and north exchanged)", "write v_east_mps and v_north_mps in that order: "
-                    "receivers give NED")  # fmt: skip
-    elif planar is not None and abs(planar.turn_deg) > 30:
-        yield fault("velocity", "gnss", f"the velocities point {planar.turn_deg:+.0f} deg from "
-        "where "
-                    "the positions go", "check the signs and the order of the columns")  # fmt: skip
-    if planar is not None and not 0.8 < planar.gain < 1.25:
-        yield fault("velocity", "gnss", f"positions change by {planar.gain:.3g} of what the "
-        "velocities "
-                    "say (1 km/h is 0.278 m/s, 1 knot 0.514)", "convert the velocities to m/s")  # fmt: skip
-    gain, sigma = fit(said[knots, 2:], motion.v_mps[knots, 2])
-    if gain[0] < -0.5 and gain[0] + 5 * sigma[0] < 0:
-        yield fault("velocity", "gnss", "the vertical velocity has the sign of down: heights rise "
-                    "where it is negative", "v_up_mps is positive upwards; receivers give down")  # fmt: skip
+    yield from _horizontal(Planar.of(motion.v_mps[knots, :2], said[knots, :2]))
+    (gain,), (sigma,) = fit(said[knots, 2:], motion.v_mps[knots, 2])
+    if gain < -0.5 and gain + 5 * sigma < 0:
+        yield fault(
+            "velocity", "gnss",
+            "the vertical velocity has the sign of down: heights rise where it is negative",
+            "v_up_mps is positive upwards; receivers give down",
+        )  # fmt: skip
+
+
+def _horizontal(planar: Planar | None) -> Iterator[Finding]:
+    if planar is None:
+        return
+    if planar.mirrored:
+        yield fault(
+            "velocity", "gnss",
+            "the velocities are the mirror image of what the positions do (north and east exchanged)",
+            "write v_east_mps and v_north_mps in that order: receivers give NED",
+        )  # fmt: skip
+    elif abs(planar.turn_deg) > TURNED_DEG:
+        yield fault(
+            "velocity", "gnss",
+            f"the velocities point {-planar.turn_deg:+.0f} deg from where the positions go",
+            "check the signs and the order of the columns",
+        )  # fmt: skip
+    if abs(np.log(planar.gain)) > np.log(1 + 2 * SCALE):
+        yield fault(
+            "velocity", "gnss",
+            f"positions change by {planar.gain:.3g} of what the velocities say "
+            "(1 km/h is 0.278 m/s, 1 knot 0.514)",
+            "convert the velocities to m/s",
+        )  # fmt: skip
 
 
 def check_wheel(drive: Drive) -> Iterator[Finding]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from fgloc.diagnosis.finding import Finding, fault, warning
 from fgloc.diagnosis.gnss import sound_fixes
 from fgloc.diagnosis.jumps import SIGMAS
-from fgloc.diagnosis.motion import slopes
+from fgloc.diagnosis.motion import LONGEST_M, slopes
 from fgloc.diagnosis.planar import Planar
 from fgloc.drive import Drive
 from fgloc.frames import wrap_pi
@@ -32,15 +32,19 @@ def check_truth(drive: Drive) -> Iterator[Finding]:
     gnss, truth = sound_fixes(drive), drive.truth
     if gnss is None or truth is None or len(truth) < 2:
         return
-    told = truth.at_point(drive.rig.p_veh_ant_m) if truth.R_world_veh is not None else truth
-    found = list(_arm(drive, gnss, truth))
-    yield from found
-    if not found:
+    if np.linalg.norm(drive.rig.p_veh_ant_m) > LONGEST_M:
+        return  # told of already, and what follows would follow from that
+    attitude = list(_attitude(drive))
+    arm = [] if attitude else list(_arm(drive, gnss, truth))
+    yield from (*attitude, *arm)
+    has_attitude = truth.R_world_veh is not None and not attitude
+    told = truth.at_point(drive.rig.p_veh_ant_m) if has_attitude else truth
+    if not arm:
         yield from _horizontal(drive, gnss, told)
     yield from _vertical(gnss, told)
 
 
-def check_truth_attitude(drive: Drive) -> Iterator[Finding]:
+def _attitude(drive: Drive) -> Iterator[Finding]:
     """The truth's yaw against its own course, and which way is up."""
     truth = drive.truth
     if truth is None or truth.R_world_veh is None or len(truth) < _FEWEST:
@@ -110,9 +114,7 @@ def _horizontal(drive: Drive, gnss: GnssFixes, truth: Trajectory) -> Iterator[Fi
         return
     off_m = _off_m(gnss, truth, rows)
     sigma_m = np.sqrt(gnss.cov_world_m2[rows, 0, 0] + gnss.cov_world_m2[rows, 1, 1])
-    arm_m = 0.0
-    if truth.R_world_veh is None:
-        arm_m = float(np.linalg.norm(truth.p_veh_point_m - drive.rig.p_veh_ant_m))
+    arm_m = float(np.linalg.norm(truth.p_veh_point_m - drive.rig.p_veh_ant_m))
     usual_m = float(np.median(np.hypot(*off_m.T)))
     if usual_m <= 3 * float(np.nanmedian(sigma_m)) + arm_m + CLOSE_M:
         return
@@ -132,7 +134,8 @@ def _why(
     if left_m < usual_m / 3:
         when = "earlier" if lag_s < 0 else "later"
         return fault(
-            "lag", "truth", f"{what}; {left_m:,.1f} m are left if truth is read {abs(lag_s):.1f} s {when}",
+            "lag", "truth",
+            f"{what}; {left_m:,.1f} m are left if truth is read {abs(lag_s):.1f} s {when}",
             "bring both to UTC: GPS time is ahead by the leap seconds",
         )  # fmt: skip
     p_fix, p_truth = gnss.p_world_ant_m[rows, :2], truth.at(gnss.t_ns[rows]).p_world_m[:, :2]
@@ -148,8 +151,12 @@ def _why(
                      "deg", "bring both into one ENU frame of one origin")  # fmt: skip
     east, north = np.median(off_m, axis=0)
     if np.hypot(east, north) < usual_m / 3:
-        return warning("scatter", "gnss", f"{what} to all sides; their covariance claims less",
-                       "it is too small: take it from the receiver, or set gnss.sigma_scale")
+        return warning(
+            "scatter",
+            "gnss",
+            f"{what} to all sides; their covariance claims less",
+            "it is too small: take it from the receiver, or set gnss.sigma_scale",
+        )
     return warning("truth-offset", "truth", f"{what}: by {east:+.2f} m east and {north:+.2f} m "
     "north",
                    "is it the same origin, datum and point of the vehicle?")  # fmt: skip

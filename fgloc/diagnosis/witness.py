@@ -6,13 +6,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.diagnosis.lag import SURE, Lag, inertial_lag
-from fgloc.diagnosis.motion import Motion, Signal, inertial
+from fgloc.diagnosis.lag import Lag, inertial_lag
+from fgloc.diagnosis.motion import LONGEST_M, Motion, Signal, inertial
 from fgloc.drive import Drive
 from fgloc.measurements import Array
-
-SURE_NEAR = 8.0
-"""A lag below a second is no blind search: four sigmas (16 / 2 of log-likelihood) will do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +40,13 @@ class Witness:
         imu = inertial(drive, motion.start_ns)
         if imu is None:
             return None
-        lag = inertial_lag(motion, imu)
-        lag_s = lag.lag_s if lag is not None and significant(lag) else 0.0
+        lag = inertial_lag(motion, imu, _ahead_m(drive))
+        lag_s = lag.lag_s if lag is not None and lag.is_significant else 0.0
         change = motion.change(imu, lag_s)
         return cls(motion, imu, lag, motion.covered(imu, lag_s), change[:, 0], change[:, 1:])
 
 
-def significant(lag: Lag) -> bool:
-    """Whether a lag is more than chance."""
-    return lag.gain > (SURE if abs(lag.lag_s) > 1.0 else SURE_NEAR)
+def _ahead_m(drive: Drive) -> float:
+    """The antenna ahead of the vehicle's origin, unless it is said to be off the vehicle."""
+    ahead_m = float(drive.rig.p_veh_ant_m[0])
+    return ahead_m if abs(ahead_m) < LONGEST_M else 0.0
