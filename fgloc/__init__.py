@@ -13,9 +13,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fgloc.api import baseline, compare, load, make, score, smooth
+    from fgloc.api import baseline, compare, doctor, load, make, score, smooth
     from fgloc.comparison import Comparison
     from fgloc.config import SmoothConfig
+    from fgloc.diagnosis.finding import Finding
     from fgloc.drive import About, Drive, ImuNoise, Rig
     from fgloc.errors import ConfigError, DriveError, FglocError, InputError, SolverError
     from fgloc.evaluation.metric import Metric
@@ -28,10 +29,10 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOME = {
-    "baseline": "api", "compare": "api", "load": "api", "make": "api", "score": "api",
-    "smooth": "api", "Comparison": "comparison", "SmoothConfig": "config", "About": "drive",
-    "Drive": "drive", "ImuNoise": "drive", "Rig": "drive", "ConfigError": "errors",
-    "DriveError": "errors", "FglocError": "errors", "InputError": "errors",
+    "baseline": "api", "compare": "api", "doctor": "api", "load": "api", "make": "api",
+    "score": "api", "smooth": "api", "Comparison": "comparison", "SmoothConfig": "config",
+    "Finding": "diagnosis.finding", "About": "drive", "Drive": "drive", "ImuNoise": "drive", "Rig": "drive",
+    "ConfigError": "errors", "DriveError": "errors", "FglocError": "errors", "InputError": "errors",
     "SolverError": "errors", "Metric": "evaluation.metric", "Origin": "frames",
     "GnssFixes": "measurements", "ImuSamples": "measurements", "WheelSpeeds": "measurements",
     "Event": "result", "Result": "result", "Trajectory": "trajectory",
@@ -47,6 +48,7 @@ __all__ = [
     "DriveError",
     "Event",
     "FglocError",
+    "Finding",
     "GnssFixes",
     "ImuNoise",
     "ImuSamples",
@@ -64,6 +66,7 @@ __all__ = [
     "__version__",
     "baseline",
     "compare",
+    "doctor",
     "load",
     "make",
     "score",

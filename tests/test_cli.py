@@ -22,7 +22,17 @@ from fgloc.errors import SolverError
 from fgloc.outputs import FILES, VERDICT_COLUMNS, format_verdicts
 from fgloc.verdicts import SourceVerdicts, Verdict
 
-COMMANDS = ("datasets", "make", "import", "degrade", "smooth", "baseline", "eval", "explain")
+COMMANDS = (
+    "datasets",
+    "make",
+    "import",
+    "doctor",
+    "degrade",
+    "smooth",
+    "baseline",
+    "eval",
+    "explain",
+)
 METRICS = {
     "horizontal_rmse_m", "horizontal_mean_m", "horizontal_std_m", "horizontal_p95_m",
     "horizontal_max_m", "lateral_rmse_m", "longitudinal_rmse_m", "lateral_mean_abs_m",

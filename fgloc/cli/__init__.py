@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 import click
 
+from fgloc.cli.doctor import doctor
 from fgloc.cli.drives import datasets, degrade, import_drive, make
 from fgloc.cli.results import evaluate, explain
 from fgloc.cli.runs import baseline, smooth
@@ -52,7 +53,9 @@ def cli() -> None:
     simulated drives past smart infrastructure."""
 
 
-for _command in (datasets, make, import_drive, degrade, smooth, baseline, evaluate, explain):
+for _command in (
+    datasets, make, import_drive, doctor, degrade, smooth, baseline, evaluate, explain,
+):  # fmt: skip
     cli.add_command(_command)
 
 

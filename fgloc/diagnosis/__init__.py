@@ -6,7 +6,9 @@ little or the fixes too coarse for a verdict there is none.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 
+from fgloc.datasets.drive_folder import salvage_drive
 from fgloc.diagnosis import (
     clocks,
     covariances,
@@ -17,11 +19,12 @@ from fgloc.diagnosis import (
     speeds,
     truth,
 )
-from fgloc.diagnosis.finding import SEVERITIES, Finding
+from fgloc.diagnosis.finding import SEVERITIES, Finding, fault
 from fgloc.diagnosis.witness import Witness
 from fgloc.drive import Drive
+from fgloc.errors import InputError
 
-__all__ = ["CHECKS", "MOTION_CHECKS", "SEVERITIES", "Finding", "diagnose", "in_order"]
+__all__ = ["CHECKS", "MOTION_CHECKS", "SEVERITIES", "Finding", "diagnose", "diagnose_folder"]
 
 CHECKS: tuple[Callable[[Drive], Iterator[Finding]], ...] = (
     sampling.check_rows,
@@ -65,6 +68,27 @@ def diagnose(drive: Drive) -> list[Finding]:
     witness = Witness.of(drive)
     found += [finding for check in MOTION_CHECKS for finding in check(drive, witness)]
     return in_order(found)
+
+
+def diagnose_folder(folder: str | Path) -> list[Finding]:
+    """Findings about a drive folder, also one that cannot be read as a drive.
+
+    What stands in the way of reading is a fault; the tables that can be read are checked. Raises
+    DriveError where the folder is no drive at all.
+    """
+    drive, faults = salvage_drive(folder)
+    found = [_unreadable(part, err) for part, err in faults.items()]
+    if drive is not None:
+        found += [
+            one
+            for one in diagnose(drive)
+            if (one.check, one.source in faults) != ("no-table", True)
+        ]
+    return in_order(found)
+
+
+def _unreadable(part: str, err: InputError) -> Finding:
+    return fault("unreadable", part, str(err), "until then nothing can read this drive")
 
 
 def in_order(findings: Iterable[Finding]) -> list[Finding]:

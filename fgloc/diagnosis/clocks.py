@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, rows_of, warning
 from fgloc.diagnosis.lag import Lag, speed_lag
@@ -10,7 +11,7 @@ from fgloc.diagnosis.motion import Motion, Signal
 from fgloc.diagnosis.witness import Witness
 from fgloc.drive import Drive
 from fgloc.errors import InputError
-from fgloc.measurements import GnssFixes, Table, WheelSpeeds
+from fgloc.measurements import Array, GnssFixes, Table, WheelSpeeds
 from fgloc.timing import GPS_EPOCH_UNIX_S, NS_PER_S, TAI_MINUS_GPS_S, gps_minus_utc_s, iso_utc
 from fgloc.trajectory import Trajectory
 
@@ -90,11 +91,11 @@ def check_overlap(drive: Drive) -> Iterator[Finding]:
                 "seconds",
             )  # fmt: skip
         elif name == "imu" and missed.any():
-            yield _partly(gnss, missed)
+            yield _partly(len(gnss), missed)
 
 
-def _partly(gnss: Table, missed: np.ndarray) -> Finding:  # type: ignore[type-arg]
-    what = f"{int(missed.sum()):,} of {len(gnss):,} fixes lie before or after the IMU's rows"
+def _partly(fixes: int, missed: NDArray[np.bool_]) -> Finding:
+    what = f"{int(missed.sum()):,} of {fixes:,} fixes lie before or after the IMU's rows"
     if missed.mean() > 0.5:
         return warning("coverage", "imu", what, "these fixes cannot be used; is the IMU cut?")
     return remark("coverage", "imu", what, "none needed; these fixes are left out")
@@ -120,7 +121,7 @@ def _lag(name: str, drive: Drive, lag: Lag) -> Iterator[Finding]:
     told = f"{abs(lag.lag_s):.2f} s (sigma {lag.sigma_s:.2f} s)"
     if not lag.is_significant or abs(lag.lag_s) < SMALLEST_LAG_S:
         yield remark("lag", name, f"its clock and that of gnss agree as far as the motion tells: "
-                     f"{told}", "none")  # fmt: skip
+                     f"{told}", "")  # fmt: skip
         return
     late, early = (name, "gnss") if lag.lag_s > 0 else ("gnss", name)
     known = _known_offset(abs(lag.lag_s), int(gnss.t_ns[0]), max(0.5, 3 * lag.sigma_s))
@@ -174,7 +175,7 @@ def check_latency(drive: Drive) -> Iterator[Finding]:
         yield from _drift(name, table, late_s)
 
 
-def _drift(name: str, table: Table, late_s: np.ndarray) -> Iterator[Finding]:  # type: ignore[type-arg]
+def _drift(name: str, table: Table, late_s: Array) -> Iterator[Finding]:
     """The smallest latency is what a clock adds to the way; it must not grow with time."""
     if len(table) < 4 * _ENDS:
         return
@@ -220,7 +221,7 @@ def _known_offset(offset_s: float, t_ns: int, within_s: float) -> str:
     return f", like {name} ({seconds:,} s)"
 
 
-def _speed(drive: Drive) -> np.ndarray:  # type: ignore[type-arg]
+def _speed(drive: Drive) -> Array:
     motion = Motion.of(drive)
     assert motion is not None  # or there would be no lag
     return motion.speed_mps[motion.steps]

@@ -171,8 +171,10 @@ def slopes(
     spread = (x**2).sum(-1)
     middle = values[rows[:, :1]]
     slope = np.einsum("kw,kwm->km", x, values[rows] - middle) / np.maximum(spread, 1e-9)[:, None]
-    even = (np.abs(mean[:, 0]) < 0.15 * half_s) & (spread > 0.15 * half_s**2 * n[:, 0])
-    return slope, even & (count >= 4)
+    even: NDArray[np.bool_] = (np.abs(mean[:, 0]) < 0.15 * half_s) & (
+        spread > 0.15 * half_s**2 * n[:, 0]
+    )
+    return slope, np.asarray(even & (count >= 4), bool)
 
 
 def integral(t_s: Array, rate: Array) -> Array:

@@ -43,7 +43,8 @@ def _horizontal(planar: Planar | None) -> Iterator[Finding]:
     if planar.mirrored:
         yield fault(
             "velocity", "gnss",
-            "the velocities are the mirror image of what the positions do (north and east exchanged)",
+            "the velocities are the mirror image of what the positions do "
+            "(north and east exchanged)",
             "write v_east_mps and v_north_mps in that order: receivers give NED",
         )  # fmt: skip
     elif abs(planar.turn_deg) > TURNED_DEG:
