@@ -31,12 +31,12 @@ if TYPE_CHECKING:
 _HOME = {
     "baseline": "api", "compare": "api", "doctor": "api", "load": "api", "make": "api",
     "score": "api", "smooth": "api", "Comparison": "comparison", "SmoothConfig": "config",
-    "Finding": "diagnosis.finding", "About": "drive", "Drive": "drive", "ImuNoise": "drive", "Rig": "drive",
-    "ConfigError": "errors", "DriveError": "errors", "FglocError": "errors", "InputError": "errors",
-    "SolverError": "errors", "Metric": "evaluation.metric", "Origin": "frames",
-    "GnssFixes": "measurements", "ImuSamples": "measurements", "WheelSpeeds": "measurements",
-    "Event": "result", "Result": "result", "Trajectory": "trajectory",
-    "SourceVerdicts": "verdicts", "Verdict": "verdicts",
+    "Finding": "diagnosis.finding", "About": "drive", "Drive": "drive", "ImuNoise": "drive",
+    "Rig": "drive", "ConfigError": "errors", "DriveError": "errors", "FglocError": "errors",
+    "InputError": "errors", "SolverError": "errors", "Metric": "evaluation.metric",
+    "Origin": "frames", "GnssFixes": "measurements", "ImuSamples": "measurements",
+    "WheelSpeeds": "measurements", "Event": "result", "Result": "result",
+    "Trajectory": "trajectory", "SourceVerdicts": "verdicts", "Verdict": "verdicts",
 }  # fmt: skip
 """The module that each public name comes from."""
 

@@ -79,16 +79,13 @@ def diagnose_folder(folder: str | Path) -> list[Finding]:
     drive, faults = salvage_drive(folder)
     found = [_unreadable(part, err) for part, err in faults.items()]
     if drive is not None:
-        found += [
-            one
-            for one in diagnose(drive)
-            if (one.check, one.source in faults) != ("no-table", True)
-        ]
+        rest = diagnose(drive)
+        found += [one for one in rest if one.check != "no-table" or one.source not in faults]
     return in_order(found)
 
 
 def _unreadable(part: str, err: InputError) -> Finding:
-    return fault("unreadable", part, str(err), "until then nothing can read this drive")
+    return fault("unreadable", part, str(err), "repair it as said: no command reads this drive")
 
 
 def in_order(findings: Iterable[Finding]) -> list[Finding]:

@@ -171,10 +171,8 @@ def slopes(
     spread = (x**2).sum(-1)
     middle = values[rows[:, :1]]
     slope = np.einsum("kw,kwm->km", x, values[rows] - middle) / np.maximum(spread, 1e-9)[:, None]
-    even: NDArray[np.bool_] = (np.abs(mean[:, 0]) < 0.15 * half_s) & (
-        spread > 0.15 * half_s**2 * n[:, 0]
-    )
-    return slope, np.asarray(even & (count >= 4), bool)
+    wide = spread > 0.15 * half_s**2 * n[:, 0]
+    return slope, np.asarray(wide & (np.abs(mean[:, 0]) < 0.15 * half_s) & (count >= 4))
 
 
 def integral(t_s: Array, rate: Array) -> Array:
@@ -195,7 +193,7 @@ def fit(A: Array, y: Array) -> tuple[Array, Array]:
         sigma = np.median(np.abs(residual[keep])) / 0.6745
         keep = np.abs(residual) <= max(4 * sigma, 1e-12)
     cov = np.linalg.pinv(A[keep].T @ A[keep]) * residual[keep].var() * SHARED
-    return solution, np.sqrt(np.diag(cov))
+    return np.asarray(solution, float), np.asarray(np.sqrt(np.diag(cov)), float)
 
 
 def _thinned(gnss: GnssFixes, start_ns: int) -> tuple[Array, Array]:

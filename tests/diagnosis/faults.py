@@ -37,6 +37,14 @@ def _rig(drive: Drive, **parts) -> Drive:
     return dataclasses.replace(drive, rig=dataclasses.replace(drive.rig, **parts))
 
 
+def _truth(drive: Drive, **parts) -> Drive:
+    return dataclasses.replace(drive, truth=dataclasses.replace(drive.truth, **parts))
+
+
+def _antenna(drive: Drive, *p_veh_ant_m: float) -> Drive:
+    return _rig(drive, p_veh_ant_m=np.array(p_veh_ant_m, float))
+
+
 def _imu(drive: Drive, accel=AS_IT_IS, gyro=AS_IT_IS) -> Drive:
     imu = drive.imu
     return _change(
@@ -181,7 +189,7 @@ FAULTS = {
     ),
     "a drifting clock": Planted("drift", "imu", "+2,000 ppm", _drifting),
     "lever arm in mm": Planted(
-        "lever-arm", "rig", "in mm", lambda d: _rig(d, p_veh_ant_m=np.array([1200.0, 0, 1500.0]))
+        "lever-arm", "rig", "in mm", lambda d: _antenna(d, 1200, 0, 1500)
     ),
     "no imu noise": Planted("no-noise", "rig", "no [rig.imu_noise]",
                             lambda d: _rig(d, imu_noise=None)),
@@ -196,10 +204,10 @@ FAULTS = {
 
 CITY_FAULTS = {
     "antenna behind": Planted(
-        "lever-arm-sign", "rig", "sign of x", lambda d: _rig(d, p_veh_ant_m=np.array([-1.2, 0, 1.5]))
+        "lever-arm-sign", "rig", "sign of x", lambda d: _antenna(d, -1.2, 0, 1.5)
     ),
     "antenna below": Planted(
-        "lever-arm-sign", "rig", "sign of z", lambda d: _rig(d, p_veh_ant_m=np.array([1.2, 0, -1.5]))
+        "lever-arm-sign", "rig", "sign of z", lambda d: _antenna(d, 1.2, 0, -1.5)
     ),
     "wheel speed in km/h": Planted(
         "wheel-unit", "wheel", "in km/h",
@@ -214,13 +222,12 @@ CITY_FAULTS = {
         "noise", "rig", "at its quietest", lambda d: _noise(d, accel_noise_mps2_per_sqrt_hz=2e-5)
     ),
     "truth with compass headings": Planted(
-        "truth-yaw", "truth", "compass", lambda d: dataclasses.replace(d, truth=dataclasses.replace(
-            d.truth, R_world_veh=np.stack([
-                yaw_matrix(np.pi / 2 - yaw) for yaw in d.truth.yaw_rad]))),
+        "truth-yaw", "truth", "compass",
+        lambda d: _truth(d, R_world_veh=yaw_matrix(np.pi / 2 - d.truth.yaw_rad)),
     ),
     "truth above another datum": Planted(
-        "height-datum", "truth", "+46", lambda d: dataclasses.replace(d, truth=dataclasses.replace(
-            d.truth, p_world_m=d.truth.p_world_m - [0, 0, 46.0])),
+        "height-datum", "truth", "above the truth",
+        lambda d: _truth(d, p_world_m=d.truth.p_world_m - [0, 0, 46.0]),
     ),
 }  # fmt: skip
 """Faults that need truth with attitude or a wheel to be seen."""

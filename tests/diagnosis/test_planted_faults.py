@@ -1,0 +1,102 @@
+"""Each fault that is planted in a clean drive is found, by its right name, and nothing in none."""
+
+import dataclasses
+from functools import cache
+
+import pytest
+
+import fgloc
+from fgloc.datasets.degrade import degrade
+from fgloc.diagnosis import diagnose
+
+from .faults import CITY_FAULTS, FAULTS, RTK_FAULTS
+
+NOT_FAULTS = {"sigma far too large"}
+"""What may as well be right: errors that drift slowly scatter less than they are."""
+
+
+@cache
+def city(seed, duration_s):
+    return fgloc.make("city", seed=seed, duration_s=duration_s)
+
+
+@cache
+def rtk():
+    return fgloc.load("mems-rtk")
+
+
+def found_of(drive, planted):
+    return [
+        one for one in diagnose(planted.plant(drive))
+        if (one.check, one.source) == (planted.check, planted.source)
+        and planted.words in f"{one.what} {one.remedy}"
+    ]  # fmt: skip
+
+
+def worse_than_remark(drive):
+    return [one for one in diagnose(drive) if one.severity != "remark"]
+
+
+@pytest.mark.parametrize("name", FAULTS | CITY_FAULTS)
+def test_a_fault_in_a_simulated_drive_is_found(name):
+    found = found_of(city(1, 90.0), (FAULTS | CITY_FAULTS)[name])
+    assert found
+    assert name in NOT_FAULTS or found[0].severity != "remark"
+    assert all(one.remedy for one in found)
+
+
+@pytest.mark.parametrize("name", FAULTS | RTK_FAULTS)
+def test_a_fault_in_a_recorded_drive_is_found(name):
+    found = found_of(rtk(), (FAULTS | RTK_FAULTS)[name])
+    assert found
+    assert name in NOT_FAULTS or found[0].severity != "remark"
+
+
+@pytest.mark.parametrize(
+    "name", ["imu in g", "imu axes z-down", "gyro reversed", "imu stamped in ms"]
+)
+def test_a_fault_has_one_name(name):
+    """What follows from a fault is not told of as another one."""
+    for drive in (city(1, 90.0), rtk()):
+        findings = worse_than_remark(FAULTS[name].plant(drive))
+        assert {one.check for one in findings} == {FAULTS[name].check}
+
+
+@pytest.mark.parametrize("seed", [2, 31, 77])
+@pytest.mark.parametrize("duration_s", [20.0, 60.0, 120.0])
+def test_a_clean_simulated_drive_has_no_fault(seed, duration_s):
+    assert not worse_than_remark(city(seed, duration_s))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"outage": (75, 15, 45)},
+        {"outage": (75, 30, 90)},
+        {"noise_enu_m": (1, 1, 2), "seed": 3},
+        {"noise_enu_m": (3, 3, 5), "outage": (75, 15, 45)},
+        {"keep_every": 2},
+    ],
+)
+def test_a_clean_recorded_drive_has_no_fault_with_or_without_outages_and_noise(options):
+    drive = degrade(rtk(), **options) if options else rtk()
+    assert not worse_than_remark(drive)
+
+
+def test_a_clean_drive_without_truth_or_turns_has_no_fault():
+    drive = dataclasses.replace(city(31, 60.0), truth=None)
+    assert not worse_than_remark(drive)
+    first_fixes = drive.gnss.t_ns < drive.start_ns + 15_000_000_000
+    short = drive.with_tables(gnss=drive.gnss.take(first_fixes))
+    assert not worse_than_remark(short)
+
+
+def test_a_minute_of_a_clean_recording_shows_no_lag():
+    """Slopes and springs look like a lag of tenths over a few bends."""
+    fixes, samples = rtk().gnss, rtk().imu
+    for first in range(0, len(fixes) - 90, 60):
+        part = fixes.take(slice(first, first + 90))
+        inside = (samples.t_ns >= part.t_ns[0]) & (samples.t_ns <= part.t_ns[-1])
+        drive = rtk().with_tables(gnss=part, imu=samples.take(inside))
+        assert not worse_than_remark(drive)
