@@ -14,6 +14,8 @@ SEVERITIES: tuple[Severity, ...] = ("fault", "warning", "remark")
 """Worst first. A fault ruins the result or is refused; a warning makes it worse, or its sigmas
 wrong; a remark is good to know, and there is nothing to repair."""
 
+MEDIAN_SIGMAS = 0.6745
+"""Median absolute value of zero-mean Gaussian values, in their sigmas."""
 _MOST_ROWS = 3
 
 
@@ -66,4 +68,4 @@ def rows_of(table: Table, rows: ArrayLike) -> str:
 
 def robust_sigma(values: ArrayLike) -> float:
     """Standard deviation that the median absolute value of zero-mean Gaussian values implies."""
-    return float(np.median(np.abs(values))) / 0.6745
+    return float(np.median(np.abs(values))) / MEDIAN_SIGMAS

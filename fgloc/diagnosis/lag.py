@@ -30,8 +30,8 @@ SURE_SIGMAS, SURE_STEPS = 5.0, 60
 and looks like a lag of tenths over a few bends."""
 NEAR_S = 1.0
 
-_COARSE_S, _FINE_S = 0.25, 0.02
-_FINE_REACH_S = 0.6
+_COARSE_S, _FINE_S = 0.5, 0.05  # motion is smoothed over seconds
+_FINE_REACH_S = 0.75
 _SHARED_ERRORS = SHARED / 2  # errors of neighbouring steps cancel in part: they share a velocity
 
 

@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.diagnosis.finding import robust_sigma
 from fgloc.drive import Drive
 from fgloc.frames import wrap_pi
 from fgloc.measurements import Array, GnssFixes, ImuSamples
@@ -190,7 +191,7 @@ def fit(A: Array, y: Array) -> tuple[Array, Array]:
     for _ in range(3):
         solution = np.linalg.lstsq(A[keep], y[keep], rcond=None)[0]
         residual = y - A @ solution
-        sigma = np.median(np.abs(residual[keep])) / 0.6745
+        sigma = robust_sigma(residual[keep])
         keep = np.abs(residual) <= max(4 * sigma, 1e-12)
     cov = np.linalg.pinv(A[keep].T @ A[keep]) * residual[keep].var() * SHARED
     return np.asarray(solution, float), np.asarray(np.sqrt(np.diag(cov)), float)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fgloc.diagnosis.finding import Finding, fault, robust_sigma, warning
+from fgloc.diagnosis.finding import MEDIAN_SIGMAS, Finding, fault, warning
 from fgloc.diagnosis.inertial import NEAR, in_degrees, in_mps2
 from fgloc.diagnosis.lag import sideslip
 from fgloc.diagnosis.motion import FEWEST_STEPS, LONGEST_M, fit
@@ -126,7 +126,7 @@ def _shown_noise(values: Array, interval_s: float) -> float:
     if blocks < 1 / _QUIETEST:
         return 0.0
     steps = np.diff(values[: blocks * _BLOCK].reshape(blocks, _BLOCK, 3), axis=1)
-    sigma = [[robust_sigma(axis) for axis in block.T] for block in steps]
+    sigma = np.median(np.abs(steps), axis=1) / MEDIAN_SIGMAS
     quiet = np.nanquantile(np.median(sigma, axis=1), _QUIETEST)
     return float(quiet * np.sqrt(interval_s / 2))
 

@@ -37,9 +37,20 @@ def worse_than_remark(drive):
     return [one for one in diagnose(drive) if one.severity != "remark"]
 
 
+@cache
+def rtk_part():
+    """Four minutes with stops and turns."""
+    first_ns = rtk().start_ns + 150_000_000_000
+    parts = {
+        name: table.take((table.t_ns >= first_ns) & (table.t_ns < first_ns + 240_000_000_000))
+        for name, table in rtk().tables.items()
+    }
+    return rtk().with_tables(**parts)
+
+
 @pytest.mark.parametrize("name", FAULTS | CITY_FAULTS)
 def test_a_fault_in_a_simulated_drive_is_found(name):
-    found = found_of(city(1, 90.0), (FAULTS | CITY_FAULTS)[name])
+    found = found_of(city(17, 60.0), (FAULTS | CITY_FAULTS)[name])
     assert found
     assert name in NOT_FAULTS or found[0].severity != "remark"
     assert all(one.remedy for one in found)
@@ -47,7 +58,7 @@ def test_a_fault_in_a_simulated_drive_is_found(name):
 
 @pytest.mark.parametrize("name", FAULTS | RTK_FAULTS)
 def test_a_fault_in_a_recorded_drive_is_found(name):
-    found = found_of(rtk(), (FAULTS | RTK_FAULTS)[name])
+    found = found_of(rtk_part(), (FAULTS | RTK_FAULTS)[name])
     assert found
     assert name in NOT_FAULTS or found[0].severity != "remark"
 
@@ -57,13 +68,13 @@ def test_a_fault_in_a_recorded_drive_is_found(name):
 )
 def test_a_fault_has_one_name(name):
     """What follows from a fault is not told of as another one."""
-    for drive in (city(1, 90.0), rtk()):
+    for drive in (city(17, 60.0), rtk_part()):
         findings = worse_than_remark(FAULTS[name].plant(drive))
         assert {one.check for one in findings} == {FAULTS[name].check}
 
 
 @pytest.mark.parametrize("seed", [2, 31, 77])
-@pytest.mark.parametrize("duration_s", [20.0, 60.0, 120.0])
+@pytest.mark.parametrize("duration_s", [20.0, 120.0])
 def test_a_clean_simulated_drive_has_no_fault(seed, duration_s):
     assert not worse_than_remark(city(seed, duration_s))
 
@@ -95,7 +106,7 @@ def test_a_clean_drive_without_truth_or_turns_has_no_fault():
 def test_a_minute_of_a_clean_recording_shows_no_lag():
     """Slopes and springs look like a lag of tenths over a few bends."""
     fixes, samples = rtk().gnss, rtk().imu
-    for first in range(0, len(fixes) - 90, 60):
+    for first in range(0, len(fixes) - 90, 90):
         part = fixes.take(slice(first, first + 90))
         inside = (samples.t_ns >= part.t_ns[0]) & (samples.t_ns <= part.t_ns[-1])
         drive = rtk().with_tables(gnss=part, imu=samples.take(inside))
