@@ -23,7 +23,8 @@ STUCK_S = 0.5
 """Noise moves the last digit of an IMU that works; for so long it cannot be the same."""
 STUCK_ROWS = 10
 CLIPPED_ROWS = 5
-CLIPPED_SIGMAS = 6.0
+CLIPPED_SIGMAS = 3.0
+"""Coarse digits of an IMU at rest repeat as well, but not so far from the middle."""
 HARDEST_MPS2, HARDEST_RADPS = 160.0, 35.0
 """The widest ranges that are built into vehicles: 16 g and 2000 deg/s."""
 IMU_CHANNELS = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
