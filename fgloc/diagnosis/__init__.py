@@ -85,7 +85,12 @@ def diagnose_folder(folder: str | Path) -> list[Finding]:
 
 
 def _unreadable(part: str, err: InputError) -> Finding:
-    return fault("unreadable", part, str(err), "repair it as said: no command reads this drive")
+    return fault(
+        "unreadable",
+        part,
+        str(err),
+        "repair it as said: no command reads this drive",
+    )
 
 
 def in_order(findings: Iterable[Finding]) -> list[Finding]:

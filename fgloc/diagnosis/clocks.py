@@ -41,13 +41,18 @@ def check_epochs(drive: Drive) -> Iterator[Finding]:
             relative.append(name)
         elif not FIRST_S <= start_s <= LAST_S:
             yield warning(
-                "epoch", name, f"t_ns begins at {iso_utc(int(table.t_ns[0]))}",
+                "epoch",
+                name,
+                f"t_ns begins at {iso_utc(int(table.t_ns[0]))}",
                 "stamps are POSIX time (from 1970, UTC); NTP counts from 1900, GPS from 1980",
-            )  # fmt: skip
+            )
     if relative and len(relative) == len(_clocks(drive)):
-        yield remark("epoch", "drive", "t_ns counts from a zero of the recorder's own, not from "
-        "1970",
-                     "none needed while all tables share it")  # fmt: skip
+        yield remark(
+            "epoch",
+            "drive",
+            "t_ns counts from a zero of the recorder's own, not from 1970",
+            "none needed while all tables share it",
+        )
 
 
 def _too_dense(table: Table | Trajectory) -> bool:
@@ -66,9 +71,19 @@ def _not_ns(name: str, table: Table | Trajectory) -> Finding:
     ]
     what = f"t_ns begins at {first} and rows are {_interval_ns(table):,.0f} ns apart"
     if not fits:
-        return fault("time-unit", name, what, "the unit of t_ns is the nanosecond: multiply")
+        return fault(
+            "time-unit",
+            name,
+            what,
+            "the unit of t_ns is the nanosecond: multiply",
+        )
     factor, unit = fits[0]
-    return fault("time-unit", name, f"{what}: it is in {unit}", f"multiply t_ns by {factor:,}")
+    return fault(
+        "time-unit",
+        name,
+        f"{what}: it is in {unit}",
+        f"multiply t_ns by {factor:,}",
+    )
 
 
 def check_overlap(drive: Drive) -> Iterator[Finding]:
@@ -85,11 +100,13 @@ def check_overlap(drive: Drive) -> Iterator[Finding]:
             start_s = (int(table.t_ns[0]) - int(gnss.t_ns[0])) / NS_PER_S
             known = _known_offset(start_s, int(gnss.t_ns[0]), 600.0)
             yield fault(
-                "no-overlap", name, f"no row within the time of the fixes; it begins "
-                f"{abs(start_s):,.1f} s {'after' if start_s > 0 else 'before'} them{known}",
+                "no-overlap",
+                name,
+                f"no row within the time of the fixes; it begins {abs(start_s):,.1f} s "
+                f"{'after' if start_s > 0 else 'before'} them{known}",
                 "bring both to UTC: GPS seconds count from 1980-01-06 and are ahead by the leap "
                 "seconds",
-            )  # fmt: skip
+            )
         elif name == "imu" and missed.any():
             yield _partly(len(gnss), missed)
 
@@ -97,8 +114,18 @@ def check_overlap(drive: Drive) -> Iterator[Finding]:
 def _partly(fixes: int, missed: NDArray[np.bool_]) -> Finding:
     what = f"{int(missed.sum()):,} of {fixes:,} fixes lie before or after the IMU's rows"
     if missed.mean() > 0.5:
-        return warning("coverage", "imu", what, "these fixes cannot be used; is the IMU cut?")
-    return remark("coverage", "imu", what, "none needed; these fixes are left out")
+        return warning(
+            "coverage",
+            "imu",
+            what,
+            "these fixes cannot be used; is the IMU cut?",
+        )
+    return remark(
+        "coverage",
+        "imu",
+        what,
+        "none needed; these fixes are left out",
+    )
 
 
 def check_lags(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
@@ -120,20 +147,25 @@ def _lag(name: str, drive: Drive, lag: Lag) -> Iterator[Finding]:
     gnss = drive.gnss
     told = f"{abs(lag.lag_s):.2f} s (sigma {lag.sigma_s:.2f} s)"
     if not lag.is_significant or abs(lag.lag_s) < SMALLEST_LAG_S:
-        yield remark("lag", name, f"its clock and that of gnss agree as far as the motion tells: "
-                     f"{told}", "")  # fmt: skip
+        yield remark(
+            "lag",
+            name,
+            f"its clock and that of gnss agree as far as the motion tells: {told}",
+            "",
+        )
         return
     late, early = (name, "gnss") if lag.lag_s > 0 else ("gnss", name)
     known = _known_offset(abs(lag.lag_s), int(gnss.t_ns[0]), max(0.5, 3 * lag.sigma_s))
     off_m = abs(lag.lag_s) * float(np.median(_speed(drive)))
     severity = fault if abs(lag.lag_s) > 1 or off_m > 3 * _claimed_m(gnss) else warning
     yield severity(
-        "lag", late, f"the same motion bears stamps {told} later than in {early}{known}; at the "
-        "speed "
-        f"of this drive that is {off_m:,.1f} m", f"take {abs(lag.lag_s):.2f} s off t_ns of "
-        f"{late}, or "
-        f"add it to {early}: stamps tell when a measurement was true, in UTC",
-    )  # fmt: skip
+        "lag",
+        late,
+        f"the same motion bears stamps {told} later than in {early}{known}; at the speed of this "
+        f"drive that is {off_m:,.1f} m",
+        f"take {abs(lag.lag_s):.2f} s off t_ns of {late}, or add it to {early}: stamps tell when "
+        "a measurement was true, in UTC",
+    )
 
 
 def _spans(name: str, drive: Drive, table: Table) -> Iterator[Finding]:
@@ -146,9 +178,13 @@ def _spans(name: str, drive: Drive, table: Table) -> Iterator[Finding]:
         return  # told of already
     known = _known_offset((first_s + last_s) / 2, int(gnss.t_ns[0]), _MEETS_S)
     if abs(first_s - last_s) < _MEETS_S and abs(first_s) > _MEETS_S and known:
-        yield warning("lag", name, f"begins and ends {abs(first_s):,.1f} s "
-                      f"{'after' if first_s > 0 else 'before'} gnss{known}",
-                      "if both were recorded together, bring their stamps to UTC")  # fmt: skip
+        yield warning(
+            "lag",
+            name,
+            f"begins and ends {abs(first_s):,.1f} s {'after' if first_s > 0 else 'before'} "
+            f"gnss{known}",
+            "if both were recorded together, bring their stamps to UTC",
+        )
 
 
 def check_latency(drive: Drive) -> Iterator[Finding]:
@@ -160,18 +196,22 @@ def check_latency(drive: Drive) -> Iterator[Finding]:
         early = np.flatnonzero(late_s < -EARLY_S)
         if len(early):
             yield warning(
-                "latency", name, f"received up to {-late_s.min():,.3f} s before it was true in "
+                "latency",
+                name,
+                f"received up to {-late_s.min():,.3f} s before it was true in "
                 f"{rows_of(table, early)}",
                 "t_ns and received_ns are of two clocks; bring both to one, or leave received_ns "
                 "out",
-            )  # fmt: skip
+            )
         elif np.median(late_s) > OLD_S:
             known = _known_offset(float(np.median(late_s)), int(table.t_ns[0]), 1.0)
             yield warning(
-                "latency", name, f"received {np.median(late_s):,.1f} s after it was true{known}",
+                "latency",
+                name,
+                f"received {np.median(late_s):,.1f} s after it was true{known}",
                 "t_ns and received_ns are of two clocks; bring both to one, or leave received_ns "
                 "out",
-            )  # fmt: skip
+            )
         yield from _drift(name, table, late_s)
 
 
@@ -184,11 +224,12 @@ def _drift(name: str, table: Table, late_s: Array) -> Iterator[Finding]:
     span_s = (int(table.t_ns[-1]) - int(table.t_ns[0])) / NS_PER_S * 0.75
     if abs(grows_s) > max(DRIFT_S, DRIFT * span_s):
         yield warning(
-            "drift", name, f"received_ns moves against t_ns by {grows_s:+.3f} s over "
-            f"{span_s:,.0f} s "
+            "drift",
+            name,
+            f"received_ns moves against t_ns by {grows_s:+.3f} s over {span_s:,.0f} s "
             f"({grows_s / span_s * 1e6:+,.0f} ppm)",
             "one of the two clocks drifts, or a queue grows: stamp both by one clock",
-        )  # fmt: skip
+        )
 
 
 def _clocks(drive: Drive) -> dict[str, Table | Trajectory]:

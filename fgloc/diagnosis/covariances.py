@@ -42,10 +42,11 @@ def check_covariances(drive: Drive) -> Iterator[Finding]:
     ):
         if rows.any():
             yield fault(
-                "covariance", "gnss", f"the covariance {what} in "
-                f"{rows_of(gnss, np.flatnonzero(rows))}",
+                "covariance",
+                "gnss",
+                f"the covariance {what} in {rows_of(gnss, np.flatnonzero(rows))}",
                 "give what the receiver states, or remove the rows: they cannot be weighted",
-            )  # fmt: skip
+            )
     yield from _odd_sigmas(gnss, finite & (smallest > 0), variance)
 
 
@@ -62,8 +63,12 @@ def _odd_sigmas(gnss: GnssFixes, sound: NDArray[np.bool_], variance: Array) -> I
         ),
     ):  # fmt: skip
         if rows.any():
-            yield warning("sigma", "gnss", f"a claimed sigma {what} in "
-                          f"{rows_of(gnss, np.flatnonzero(rows))}", remedy)  # fmt: skip
+            yield warning(
+                "sigma",
+                "gnss",
+                f"a claimed sigma {what} in {rows_of(gnss, np.flatnonzero(rows))}",
+                remedy,
+            )
 
 
 def check_scatter(drive: Drive) -> Iterator[Finding]:
@@ -94,16 +99,20 @@ def _scatter(what: str, second: Array, sigma_m: Array, motion_m: Array) -> Itera
     told = f"the fixes scatter {what} by {scatter_m:.3g} m from one to the next"
     if beyond_m > SCATTER_FACTOR * claimed_m:
         yield warning(
-            "scatter", "gnss", f"{told}, the claimed sigma is {claimed_m:.3g} m",
+            "scatter",
+            "gnss",
+            f"{told}, the claimed sigma is {claimed_m:.3g} m",
             f"the covariance is too small by about {(beyond_m / claimed_m):.0f} in sigma: take it "
             f"from the receiver, or set gnss.sigma_scale={beyond_m / claimed_m:.1f}",
-        )  # fmt: skip
+        )
     elif scatter_m * SCATTER_FACTOR < claimed_m:
         yield remark(
-            "scatter", "gnss", f"{told}, less than the claimed sigma of {claimed_m:.3g} m",
-            "errors that drift slowly do so, and then gnss.bias_sigma_m describes them; if they do "
-            "not, the sigma is too large",
-        )  # fmt: skip
+            "scatter",
+            "gnss",
+            f"{told}, less than the claimed sigma of {claimed_m:.3g} m",
+            "errors that drift slowly do so, and then gnss.bias_sigma_m describes them; if they "
+            "do not, the sigma is too large",
+        )
 
 
 def _push_mps2(drive: Drive, gnss: GnssFixes, rows: NDArray[np.int64]) -> Array:

@@ -51,16 +51,25 @@ def in_mps2(drive: Drive, imu: ImuSamples) -> bool:
 def _unit(size: float) -> Finding:
     for one_g, unit, remedy in UNITS:
         if abs(size / one_g - 1) < NEAR:
-            return fault("accel-unit", "imu", f"the accelerometer reads {size:.4g} at rest: it "
-            "is in "
-                         f"{unit}, not in m/s^2", remedy)  # fmt: skip
+            return fault(
+                "accel-unit",
+                "imu",
+                f"the accelerometer reads {size:.4g} at rest: it is in {unit}, not in m/s^2",
+                remedy,
+            )
     if _weightless(size):
-        return fault("accel-gravity", "imu", f"the accelerometer reads {size:.3g} m/s^2 on "
-        "average: "
-                     "gravity has been taken out", "record the specific force itself, which is 9.8 "
-                     "m/s^2 upwards at rest")  # fmt: skip
-    return fault("accel-unit", "imu", f"the accelerometer reads {size:.4g} on average, gravity is "
-                 f"{GRAVITY_MPS2:.2f} m/s^2", "check its unit and scale")  # fmt: skip
+        return fault(
+            "accel-gravity",
+            "imu",
+            f"the accelerometer reads {size:.3g} m/s^2 on average: gravity has been taken out",
+            "record the specific force itself, which is 9.8 m/s^2 upwards at rest",
+        )
+    return fault(
+        "accel-unit",
+        "imu",
+        f"the accelerometer reads {size:.4g} on average, gravity is {GRAVITY_MPS2:.2f} m/s^2",
+        "check its unit and scale",
+    )
 
 
 def _weightless(size: float) -> bool:
@@ -70,19 +79,29 @@ def _weightless(size: float) -> bool:
 def _upright(up: Array) -> Iterator[Finding]:
     tilt_deg = float(np.degrees(np.arccos(np.clip(up[2], -1, 1))))
     if tilt_deg > 180 - MISALIGNED_DEG:
-        yield fault("imu-axes", "imu", "gravity reads along -z: the axes are z-down (forward-right-"
-                    "down, NED), or gravity has the wrong sign", "turn y and z of accel and gyro "
-                    "round "
-                    "when you convert, or state the mounting in rig.T_veh_imu")  # fmt: skip
+        yield fault(
+            "imu-axes",
+            "imu",
+            "gravity reads along -z: the axes are z-down (forward-right-down, NED), or gravity "
+            "has the wrong sign",
+            "turn y and z of accel and gyro round when you convert, or state the mounting in "
+            "rig.T_veh_imu",
+        )
     elif tilt_deg > MISALIGNED_DEG:
         axis = "xyz"[int(np.argmax(np.abs(up)))]
-        yield fault("imu-axes", "imu", f"gravity reads {tilt_deg:.0f} deg from the vehicle's z, "
-        "most "
-                    f"of it along {axis}", "the axes are exchanged: state the mounting in "
-                    "rig.T_veh_imu")  # fmt: skip
+        yield fault(
+            "imu-axes",
+            "imu",
+            f"gravity reads {tilt_deg:.0f} deg from the vehicle's z, most of it along {axis}",
+            "the axes are exchanged: state the mounting in rig.T_veh_imu",
+        )
     elif tilt_deg > TILT_DEG:
-        yield warning("imu-axes", "imu", f"gravity reads {tilt_deg:.0f} deg from the vehicle's z",
-                      "state the tilt of the mounting in rig.T_veh_imu")  # fmt: skip
+        yield warning(
+            "imu-axes",
+            "imu",
+            f"gravity reads {tilt_deg:.0f} deg from the vehicle's z",
+            "state the tilt of the mounting in rig.T_veh_imu",
+        )
 
 
 def check_turns(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
@@ -93,12 +112,20 @@ def check_turns(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
         return
     gain, sure = found
     if in_degrees(witness):
-        yield fault("gyro-unit", "imu", f"the gyro turns {1 / abs(gain):.0f} times as far as the "
-                    "course: it is in deg/s, not in rad/s", "multiply by pi/180")  # fmt: skip
+        yield fault(
+            "gyro-unit",
+            "imu",
+            f"the gyro turns {1 / abs(gain):.0f} times as far as the course: it is in deg/s, not "
+            "in rad/s",
+            "multiply by pi/180",
+        )
     elif not 1 - 2 * NEAR < abs(gain) < 1 / (1 - 2 * NEAR) and abs(abs(gain) - 1) > sure:
-        yield warning("gyro-unit", "imu", f"the course turns by {abs(gain):.3g} of what the gyro "
-        "says",
-                      "check its unit and scale, and that z is the vertical axis")  # fmt: skip
+        yield warning(
+            "gyro-unit",
+            "imu",
+            f"the course turns by {abs(gain):.3g} of what the gyro says",
+            "check its unit and scale, and that z is the vertical axis",
+        )
     if gain < 0:
         yield from _opposite(drive, witness)
 
@@ -118,18 +145,27 @@ def _opposite(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
     planar = _pushes(witness)
     told = "the course turns right where the gyro turns left"
     if planar is None:
-        yield fault("turn-sign", "gnss", f"{told}: the gyro's z is down, or the fixes are mirrored "
-                    "(north and east exchanged)", "check both: the gyro is positive to the left, "
-                    "positions are east, north, up")  # fmt: skip
+        yield fault(
+            "turn-sign",
+            "gnss",
+            f"{told}: the gyro's z is down, or the fixes are mirrored (north and east exchanged)",
+            "check both: the gyro is positive to the left, positions are east, north, up",
+        )
     elif planar.mirrored:
-        yield fault("mirrored", "gnss", f"{told}, and the accelerometer agrees with the gyro: the "
-                    "fixes are mirrored, north and east exchanged (NED read as ENU)",
-                    "write east_m, north_m, up_m in that order")  # fmt: skip
+        yield fault(
+            "mirrored",
+            "gnss",
+            f"{told}, and the accelerometer agrees with the gyro: the fixes are mirrored, north "
+            "and east exchanged (NED read as ENU)",
+            "write east_m, north_m, up_m in that order",
+        )
     else:
-        yield fault("gyro-sign", "imu", f"{told}, and the accelerometer agrees with the course: "
-        "the "
-                    "gyro has the wrong sign", "gyro z is positive to the left, seen from "
-                    "above")  # fmt: skip
+        yield fault(
+            "gyro-sign",
+            "imu",
+            f"{told}, and the accelerometer agrees with the course: the gyro has the wrong sign",
+            "gyro z is positive to the left, seen from above",
+        )
 
 
 def check_pushes(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
@@ -140,15 +176,21 @@ def check_pushes(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
     if planar is None or not isinstance(imu, ImuSamples) or mean_force(drive, imu)[2] < 0:
         return
     if planar.mirrored and gain is not None and gain[0] > 0:
-        yield fault("imu-axes", "imu", "the accelerometer is the mirror image of the motion, the "
-        "gyro "
-                    "is not: one of its axes x, y has the wrong sign, or they are exchanged",
-                    "x is forward and y is left")  # fmt: skip
+        yield fault(
+            "imu-axes",
+            "imu",
+            "the accelerometer is the mirror image of the motion, the gyro is not: one of its "
+            "axes x, y has the wrong sign, or they are exchanged",
+            "x is forward and y is left",
+        )
     elif not planar.mirrored and abs(planar.turn_deg) > MISALIGNED_DEG:
-        yield fault("imu-axes", "imu", f"the accelerometer's axes stand {-planar.turn_deg:+.0f} "
-        "deg "
-                    "about up from forward and left", "state the mounting in rig.T_veh_imu, or "
-                    "exchange the columns")  # fmt: skip
+        yield fault(
+            "imu-axes",
+            "imu",
+            f"the accelerometer's axes stand {-planar.turn_deg:+.0f} deg about up from forward "
+            "and left",
+            "state the mounting in rig.T_veh_imu, or exchange the columns",
+        )
 
 
 def check_motion(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
@@ -156,10 +198,12 @@ def check_motion(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
     if {"gnss", "imu"} <= set(drive.tables) and (
         witness is None or witness.use.sum() < FEWEST_STEPS
     ):
-        yield remark("little-motion", "drive", "too little motion under fixes and IMU to check "
-        "axes "
-                     "and clocks against each other", "none; a drive with turns and stops tells "
-                     "more")  # fmt: skip
+        yield remark(
+            "little-motion",
+            "drive",
+            "too little motion under fixes and IMU to check axes and clocks against each other",
+            "none; a drive with turns and stops tells more",
+        )
 
 
 def mean_force(drive: Drive, imu: ImuSamples) -> Array:
@@ -200,6 +244,9 @@ def _spinning(drive: Drive) -> Iterator[Finding]:
         return
     often = float(np.nanquantile(np.abs(imu.gyro_radps), 0.9)) if len(imu) else 0.0
     if often > FASTEST_RADPS:
-        yield fault("gyro-unit", "imu", f"a tenth of the gyro's values exceed {often:.3g} rad/s: "
-        "it is "
-                    "in deg/s, not in rad/s", "multiply by pi/180")  # fmt: skip
+        yield fault(
+            "gyro-unit",
+            "imu",
+            f"a tenth of the gyro's values exceed {often:.3g} rad/s: it is in deg/s, not in rad/s",
+            "multiply by pi/180",
+        )

@@ -35,15 +35,21 @@ def check_jumps(drive: Drive) -> Iterator[Finding]:
     alone = np.flatnonzero(jump[1:] & jump[:-1]) + 1
     stays = np.setdiff1d(np.flatnonzero(jump) + 1, np.concatenate([alone, alone + 1]))
     if len(alone):
-        yield warning("outlier", "gnss", f"{rows_of(gnss, alone)}: away from the fix before and "
-                      f"after by up to {step_m[alone - 1].max():,.0f} m",
-                      "the gate keeps them out; remove them if they are many")  # fmt: skip
+        yield warning(
+            "outlier",
+            "gnss",
+            f"{rows_of(gnss, alone)}: away from the fix before and after by up to "
+            f"{step_m[alone - 1].max():,.0f} m",
+            "the gate keeps them out; remove them if they are many",
+        )
     if len(stays):
         yield fault(
-            "jump", "gnss", f"{rows_of(gnss, stays)}: the position jumps by up to "
-            f"{step_m[stays - 1].max():,.0f} m, faster than {FASTEST_MPS:g} m/s, and stays there",
+            "jump",
+            "gnss",
+            f"{rows_of(gnss, stays)}: the position jumps by up to {step_m[stays - 1].max():,.0f} "
+            f"m, faster than {FASTEST_MPS:g} m/s, and stays there",
             "was another reference station or frame used from there on, or two recordings joined?",
-        )  # fmt: skip
+        )
 
 
 def check_frozen(drive: Drive) -> Iterator[Finding]:
@@ -60,11 +66,12 @@ def check_frozen(drive: Drive) -> Iterator[Finding]:
     dt_s = usual_interval_s(gnss)
     if jump_m > SIGMAS * np.hypot(*noise_m(gnss)[:, :2].T)[first] + 2 * HARDEST_MPS2 * dt_s**2 / 2:
         yield warning(
-            "stuck", "gnss", f"{length + 1} fixes are the same from {rows_of(gnss, [first])} on, "
-            "then "
-            f"the position jumps by {jump_m:,.1f} m",
+            "stuck",
+            "gnss",
+            f"{length + 1} fixes are the same from {rows_of(gnss, [first])} on, then the position "
+            f"jumps by {jump_m:,.1f} m",
             "the receiver repeated its last fix: remove the repeated rows",
-        )  # fmt: skip
+        )
 
 
 def check_heights(drive: Drive) -> Iterator[Finding]:
@@ -84,12 +91,13 @@ def check_heights(drive: Drive) -> Iterator[Finding]:
             continue
         sharpest = group[np.argmax(np.abs(step_m[group]) - allowed_m[group])]
         yield fault(
-            "height-jump", "gnss", f"the height steps by {step_m[sharpest]:+.1f} m at "
-            f"{rows_of(gnss, [rows[sharpest]])} while the vehicle drives on; no road does that",
+            "height-jump",
+            "gnss",
+            f"the height steps by {step_m[sharpest]:+.1f} m at {rows_of(gnss, [rows[sharpest]])} "
+            "while the vehicle drives on; no road does that",
             "heights above the ellipsoid and above sea level differ by the geoid (up to 100 m): "
-            "bring "
-            "all fixes to the datum of [origin]",
-        )  # fmt: skip
+            "bring all fixes to the datum of [origin]",
+        )
 
 
 def _step_up_m(gnss: GnssFixes, rows: NDArray[np.int64], n: int) -> tuple[Array, Array]:
@@ -120,7 +128,9 @@ def check_place(drive: Drive) -> Iterator[Finding]:
     far_m = float(np.nanmedian(np.linalg.norm(gnss.p_world_ant_m, axis=-1)))
     if far_m > _FAR_M:
         yield fault(
-            "far", "gnss", f"the fixes lie {far_m / 1000:,.0f} km from the origin",
+            "far",
+            "gnss",
+            f"the fixes lie {far_m / 1000:,.0f} km from the origin",
             "are they ECEF or UTM coordinates? Give lat_deg,lon_deg,height_m, or an origin on "
             "the way",
-        )  # fmt: skip
+        )

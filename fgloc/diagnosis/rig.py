@@ -35,18 +35,20 @@ def check_lever_arms(drive: Drive) -> Iterator[Finding]:
         length_m = float(np.linalg.norm(place_m))
         if length_m > LONGEST_M:
             yield fault(
-                "lever-arm", "rig", f"rig.{name} is {length_m:,.4g} m long ({_text(place_m)})",
+                "lever-arm",
+                "rig",
+                f"rig.{name} is {length_m:,.4g} m long ({_text(place_m)})",
                 "lever arms are in m in the vehicle frame, from the rear axle: is it in mm or "
-                "cm, or "
-                "from another point?",
-            )  # fmt: skip
+                "cm, or from another point?",
+            )
     up_m = float(drive.rig.p_veh_ant_m[2])
     if up_m < BELOW_M and np.linalg.norm(drive.rig.p_veh_ant_m) <= LONGEST_M:
         yield warning(
-            "lever-arm-sign", "rig", f"rig.p_veh_ant_m puts the antenna {-up_m:g} m under the "
-            "vehicle's "
-            "origin", "z is up: change the sign if it was measured downwards",
-        )  # fmt: skip
+            "lever-arm-sign",
+            "rig",
+            f"rig.p_veh_ant_m puts the antenna {-up_m:g} m under the vehicle's origin",
+            "z is up: change the sign if it was measured downwards",
+        )
 
 
 def check_slip(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
@@ -65,10 +67,12 @@ def check_slip(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
     opposite = claimed_m * ahead_m < 0 and abs(ahead_m + claimed_m) < abs(claimed_m)
     if opposite and abs(ahead_m - claimed_m) > _SIGNIFICANT * sigma_m:
         yield warning(
-            "lever-arm-sign", "rig", f"in bends the antenna moves as if {ahead_m:+.1f} m (sigma "
-            f"{sigma_m:.1f} m) ahead of the rear axle; rig.p_veh_ant_m says {claimed_m:+.1f} m",
+            "lever-arm-sign",
+            "rig",
+            f"in bends the antenna moves as if {ahead_m:+.1f} m (sigma {sigma_m:.1f} m) ahead of "
+            f"the rear axle; rig.p_veh_ant_m says {claimed_m:+.1f} m",
             "x is forward: check the sign of p_veh_ant_m[0]",
-        )  # fmt: skip
+        )
 
 
 def check_noise(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
@@ -77,8 +81,12 @@ def check_noise(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
     if not isinstance(imu, ImuSamples):
         return
     if noise is None:
-        yield fault("no-noise", "rig", "the drive has an IMU, but no [rig.imu_noise]",
-                    "give it in drive.toml, from the data sheet or an Allan plot")  # fmt: skip
+        yield fault(
+            "no-noise",
+            "rig",
+            "the drive has an IMU, but no [rig.imu_noise]",
+            "give it in drive.toml, from the data sheet or an Allan plot",
+        )
         return
     yield from _impossible(noise)
     yield from _too_quiet(imu, noise, (in_mps2(drive, imu), not in_degrees(witness)))
@@ -88,18 +96,21 @@ def _impossible(noise: ImuNoise) -> Iterator[Finding]:
     for name, value in vars(noise).items():
         if not (np.isfinite(value) and value > 0):
             yield fault(
-                "noise", "rig", f"rig.imu_noise.{name} = {value:g}",
+                "noise",
+                "rig",
+                f"rig.imu_noise.{name} = {value:g}",
                 "a noise must be above 0, or its measurements are taken for exact",
-            )  # fmt: skip
+            )
     for name, (low, high, unit) in NOISE.items():
         value = getattr(noise, name)
         if value > high or 0 < value < low:
             yield warning(
-                "noise", "rig", f"rig.imu_noise.{name} = {value:g}, outside {low:g} to {high:g} "
-                f"{unit}",
+                "noise",
+                "rig",
+                f"rig.imu_noise.{name} = {value:g}, outside {low:g} to {high:g} {unit}",
                 "is it in deg, in deg/sqrt(h) or in micro-g? Convert it: 1 deg/sqrt(h) is 2.9e-4 "
                 "rad/s per sqrt(Hz), 100 micro-g are 9.8e-4 m/s^2",
-            )  # fmt: skip
+            )
 
 
 def _too_quiet(imu: ImuSamples, noise: ImuNoise, in_si: tuple[bool, bool]) -> Iterator[Finding]:
@@ -113,11 +124,12 @@ def _too_quiet(imu: ImuSamples, noise: ImuNoise, in_si: tuple[bool, bool]) -> It
         shown, claimed = _shown_noise(values, usual_interval_s(imu)), getattr(noise, name)
         if trusted and 0 < QUIETER * claimed < shown <= high:
             yield warning(
-                "noise", "rig",
+                "noise",
+                "rig",
                 f"at its quietest the IMU shows {shown:.2g} {unit}, rig.imu_noise.{name} is "
                 f"{claimed:.2g}",
                 "raise it to at least what is shown; is it in another unit?",
-            )  # fmt: skip
+            )
 
 
 def _shown_noise(values: Array, interval_s: float) -> float:

@@ -35,12 +35,20 @@ def check_rows(drive: Drive) -> Iterator[Finding]:
     """What there is at all: tables, and rows in them."""
     for name in ("gnss", "imu"):
         if name not in drive.tables:
-            yield fault("no-table", name, f"the drive has no {name} table",
-                        f"add {name}.csv: the graph needs fixes and an IMU")  # fmt: skip
+            yield fault(
+                "no-table",
+                name,
+                f"the drive has no {name} table",
+                f"add {name}.csv: the graph needs fixes and an IMU",
+            )
     for name, table in drive.tables.items():
         if len(table) < 2:
-            yield fault("no-rows", name, f"the table has {len(table)} row(s)",
-                        "a rate needs two rows; was the recording cut?")  # fmt: skip
+            yield fault(
+                "no-rows",
+                name,
+                f"the table has {len(table)} row(s)",
+                "a rate needs two rows; was the recording cut?",
+            )
 
 
 def check_rates(drive: Drive) -> Iterator[Finding]:
@@ -50,10 +58,11 @@ def check_rates(drive: Drive) -> Iterator[Finding]:
         rate_hz = 1 / interval_s if interval_s else np.inf
         if rate_hz < SLOWEST_HZ.get(name, 0.0):
             yield warning(
-                "rate", name,
+                "rate",
+                name,
                 f"comes at {rate_hz:.3g} Hz; below {SLOWEST_HZ[name]:g} Hz it misses motion",
                 "record it at its full rate, or expect larger errors between rows",
-            )  # fmt: skip
+            )
 
 
 def check_gaps(drive: Drive) -> Iterator[Finding]:
@@ -67,22 +76,33 @@ def check_gaps(drive: Drive) -> Iterator[Finding]:
         longest = int(np.argmax(gap_s))
         if gap_s[longest] > _DAY_S:
             yield fault(
-                "gap", name,
+                "gap",
+                name,
                 f"t_ns jumps by {gap_s[longest] / _DAY_S:,.1f} days at "
                 f"{rows_of(table, longest + 1)}",
                 "one of the stamps before or after is of another clock or zero: correct or "
                 "remove it",
-            )  # fmt: skip
+            )
             continue
         what = (
             f"{len(wide)} gap(s), {gap_s[wide].sum():,.2f} s in all; the longest of "
             f"{gap_s[longest]:,.2f} s ends at {rows_of(table, longest + 1)}"
         )
         if name == "imu":
-            yield warning("gap", name, what, "look for lost messages in the recorder; "
-                          "a gap is bridged with unknown acceleration and turn rate")  # fmt: skip
+            yield warning(
+                "gap",
+                name,
+                what,
+                "look for lost messages in the recorder; a gap is bridged with unknown "
+                "acceleration and turn rate",
+            )
         else:
-            yield remark("gap", name, what, "none needed: the IMU carries the vehicle over it")
+            yield remark(
+                "gap",
+                name,
+                what,
+                "none needed: the IMU carries the vehicle over it",
+            )
 
 
 def check_duplicates(drive: Drive) -> Iterator[Finding]:
@@ -91,10 +111,11 @@ def check_duplicates(drive: Drive) -> Iterator[Finding]:
         repeats = np.flatnonzero(np.diff(table.t_ns) == 0) + 1
         if len(repeats):
             yield warning(
-                "duplicate", name, "t_ns of the row before is repeated in "
-                f"{rows_of(table, repeats)}",
+                "duplicate",
+                name,
+                f"t_ns of the row before is repeated in {rows_of(table, repeats)}",
                 "remove them, or stamp with more digits; of such rows only the first is used",
-            )  # fmt: skip
+            )
 
 
 def check_finite(drive: Drive) -> Iterator[Finding]:
@@ -104,9 +125,11 @@ def check_finite(drive: Drive) -> Iterator[Finding]:
         if len(bad):
             severity = fault if len(bad) > len(table) / 2 else warning
             yield severity(
-                "not-finite", name, f"NaN or infinity in {rows_of(table, bad)}",
+                "not-finite",
+                name,
+                f"NaN or infinity in {rows_of(table, bad)}",
                 "remove these rows; they cannot be used",
-            )  # fmt: skip
+            )
 
 
 def check_stuck(drive: Drive) -> Iterator[Finding]:
@@ -117,17 +140,22 @@ def check_stuck(drive: Drive) -> Iterator[Finding]:
     values = values_of(imu)
     for name, column in zip(IMU_CHANNELS, values.T, strict=True):
         if np.ptp(column) == 0:
-            yield fault("stuck", "imu", f"{name} is {column[0]:g} in every row",
-                        "is the column filled, and the axis recorded?")  # fmt: skip
+            yield fault(
+                "stuck",
+                "imu",
+                f"{name} is {column[0]:g} in every row",
+                "is the column filled, and the axis recorded?",
+            )
     first, length = longest_run((np.diff(values, axis=0) == 0).all(-1))
     lasts_s = (imu.t_ns[min(first + length, len(imu) - 1)] - imu.t_ns[first]) / NS_PER_S
     if STUCK_ROWS <= length < len(imu) - 1 and lasts_s >= STUCK_S:
         yield warning(
-            "stuck", "imu",
+            "stuck",
+            "imu",
             f"{length + 1:,} rows on end are equal in every digit, {lasts_s:,.2f} s from "
             f"{rows_of(imu, [first])} on",
             "the sensor or its driver hung and repeated its last value: remove these rows",
-        )  # fmt: skip
+        )
 
 
 def check_range(drive: Drive) -> Iterator[Finding]:
@@ -142,9 +170,11 @@ def check_range(drive: Drive) -> Iterator[Finding]:
         wild = np.flatnonzero((np.abs(values) > limit).any(-1))
         if 0 < len(wild) < len(imu) / 10:
             yield warning(
-                "spike", "imu", f"{sensor} beyond {limit:g} {unit} in {rows_of(imu, wild)}",
+                "spike",
+                "imu",
+                f"{sensor} beyond {limit:g} {unit} in {rows_of(imu, wild)}",
                 "no vehicle does that: remove the rows",
-            )  # fmt: skip
+            )
         for axis, column in zip("xyz", values.T, strict=True):
             finite = np.isfinite(column)
             yield from _clipped(imu.take(finite), f"{sensor}_{axis}", column[finite], unit)
@@ -160,11 +190,12 @@ def _clipped(imu: ImuSamples, name: str, column: Array, unit: str) -> Iterator[F
         far = abs(end - middle) > CLIPPED_SIGMAS * robust_sigma(column - middle)
         if length >= CLIPPED_ROWS and far and len(at_end) < len(column) / 2:
             yield warning(
-                "clipped", "imu", f"{name} stays at its extreme {end:.4g} {unit} in "
-                f"{rows_of(imu, at_end)}",
+                "clipped",
+                "imu",
+                f"{name} stays at its extreme {end:.4g} {unit} in {rows_of(imu, at_end)}",
                 "the sensor hit the end of its range: choose a wider range; until then raise its "
                 "noise",
-            )  # fmt: skip
+            )
 
 
 def usual_interval_s(table: Table) -> float:

@@ -31,10 +31,11 @@ def check_velocities(drive: Drive) -> Iterator[Finding]:
     (gain,), (sigma,) = fit(said[knots, 2:], motion.v_mps[knots, 2])
     if gain < -0.5 and gain + 5 * sigma < 0:
         yield fault(
-            "velocity", "gnss",
+            "velocity",
+            "gnss",
             "the vertical velocity has the sign of down: heights rise where it is negative",
             "v_up_mps is positive upwards; receivers give down",
-        )  # fmt: skip
+        )
 
 
 def _horizontal(planar: Planar | None) -> Iterator[Finding]:
@@ -42,24 +43,27 @@ def _horizontal(planar: Planar | None) -> Iterator[Finding]:
         return
     if planar.mirrored:
         yield fault(
-            "velocity", "gnss",
-            "the velocities are the mirror image of what the positions do "
-            "(north and east exchanged)",
+            "velocity",
+            "gnss",
+            "the velocities are the mirror image of what the positions do (north and east "
+            "exchanged)",
             "write v_east_mps and v_north_mps in that order: receivers give NED",
-        )  # fmt: skip
+        )
     elif abs(planar.turn_deg) > TURNED_DEG:
         yield fault(
-            "velocity", "gnss",
+            "velocity",
+            "gnss",
             f"the velocities point {-planar.turn_deg:+.0f} deg from where the positions go",
             "check the signs and the order of the columns",
-        )  # fmt: skip
+        )
     if abs(np.log(planar.gain)) > np.log(1 + 2 * SCALE):
         yield fault(
-            "velocity", "gnss",
-            f"positions change by {planar.gain:.3g} of what the velocities say "
-            "(1 km/h is 0.278 m/s, 1 knot 0.514)",
+            "velocity",
+            "gnss",
+            f"positions change by {planar.gain:.3g} of what the velocities say (1 km/h is 0.278 "
+            "m/s, 1 knot 0.514)",
             "convert the velocities to m/s",
-        )  # fmt: skip
+        )
 
 
 def check_wheel(drive: Drive) -> Iterator[Finding]:
@@ -79,13 +83,26 @@ def check_wheel(drive: Drive) -> Iterator[Finding]:
     if abs(gain - 1) <= max(SCALE, 5 * sigma):
         return
     if gain < 0:
-        yield fault("wheel-sign", "wheel", "the speed is negative when the vehicle drives ahead",
-                    "speed_mps is positive forwards")  # fmt: skip
+        yield fault(
+            "wheel-sign",
+            "wheel",
+            "the speed is negative when the vehicle drives ahead",
+            "speed_mps is positive forwards",
+        )
         return
     units = [unit for factor, unit in SPEED_UNITS if abs(gain / factor - 1) < SCALE / 2]
     what = f"the fixes move at {gain:.3g} of the wheels' speed"
     if units:
-        yield fault("wheel-unit", "wheel", f"{what}: it is in {units[0]}, not in m/s",
-                    "convert it to m/s")  # fmt: skip
+        yield fault(
+            "wheel-unit",
+            "wheel",
+            f"{what}: it is in {units[0]}, not in m/s",
+            "convert it to m/s",
+        )
     else:
-        yield warning("wheel-scale", "wheel", what, "check the unit and the radius of the tyres")
+        yield warning(
+            "wheel-scale",
+            "wheel",
+            what,
+            "check the unit and the radius of the tyres",
+        )

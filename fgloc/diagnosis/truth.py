@@ -50,8 +50,12 @@ def _attitude(drive: Drive) -> Iterator[Finding]:
     if truth is None or truth.R_world_veh is None or len(truth) < _FEWEST:
         return
     if np.median(truth.R_world_veh[:, 2, 2]) < 0:
-        yield fault("truth-frame", "truth", "the attitude is upside down: its z axis is down",
-                    "turn forward-right-down and NED into forward-left-up and ENU")  # fmt: skip
+        yield fault(
+            "truth-frame",
+            "truth",
+            "the attitude is upside down: its z axis is down",
+            "turn forward-right-down and NED into forward-left-up and ENU",
+        )
         return
     t_s = elapsed_s(truth.t_ns, int(truth.t_ns[0]))
     v, sound = slopes(t_s, truth.p_world_m, t_s, 0.5)
@@ -64,13 +68,20 @@ def _attitude(drive: Drive) -> Iterator[Finding]:
         return
     compass_rad, compass_spread = _circular(course + yaw)
     if compass_spread < 0.2 and abs(wrap_pi(compass_rad - np.pi / 2)) < np.radians(OFF_DEG):
-        yield fault("truth-yaw", "truth", "the yaw is a compass heading, clockwise from north",
-                    "yaw is counter-clockwise from east: pi/2 less the heading")  # fmt: skip
+        yield fault(
+            "truth-yaw",
+            "truth",
+            "the yaw is a compass heading, clockwise from north",
+            "yaw is counter-clockwise from east: pi/2 less the heading",
+        )
     else:
-        yield fault("truth-yaw", "truth", f"the yaw is {-np.degrees(off_rad):+.0f} deg from the "
-        "course "
-                    f"on average (spread {np.degrees(spread):.0f} deg)",
-                    "yaw is counter-clockwise from east, of the vehicle's x axis")  # fmt: skip
+        yield fault(
+            "truth-yaw",
+            "truth",
+            f"the yaw is {-np.degrees(off_rad):+.0f} deg from the course on average (spread "
+            f"{np.degrees(spread):.0f} deg)",
+            "yaw is counter-clockwise from east, of the vehicle's x axis",
+        )
 
 
 def _arm(drive: Drive, gnss: GnssFixes, truth: Trajectory) -> Iterator[Finding]:
@@ -91,11 +102,12 @@ def _arm(drive: Drive, gnss: GnssFixes, truth: Trajectory) -> Iterator[Finding]:
             abs(shown - claimed) > SIGMAS * sigma
         ):  # fmt: skip
             yield fault(
-                "lever-arm-sign", "rig", f"by the truth the antenna is at {name} = {shown:+.2f} "
-                "m (sigma "
-                f"{sigma:.2f} m), rig.p_veh_ant_m says {claimed:+.2f} m",
+                "lever-arm-sign",
+                "rig",
+                f"by the truth the antenna is at {name} = {shown:+.2f} m (sigma {sigma:.2f} m), "
+                f"rig.p_veh_ant_m says {claimed:+.2f} m",
                 f"change the sign of {name}: x is forward, y is left, z is up",
-            )  # fmt: skip
+            )
 
 
 def _white(arm: Array) -> float:
@@ -134,21 +146,28 @@ def _why(
     if left_m < usual_m / 3:
         when = "earlier" if lag_s < 0 else "later"
         return fault(
-            "lag", "truth",
+            "lag",
+            "truth",
             f"{what}; {left_m:,.1f} m are left if truth is read {abs(lag_s):.1f} s {when}",
             "bring both to UTC: GPS time is ahead by the leap seconds",
-        )  # fmt: skip
+        )
     p_fix, p_truth = gnss.p_world_ant_m[rows, :2], truth.at(gnss.t_ns[rows]).p_world_m[:, :2]
     planar = Planar.of(p_fix - p_fix.mean(0), p_truth - p_truth.mean(0))
     if planar is not None and planar.mirrored:
-        return fault("mirrored", "truth", f"{what}: one is the mirror image of the other, north "
-        "and "
-                     "east exchanged (NED read as ENU)", "write east, north, up in that "
-                     "order")  # fmt: skip
+        return fault(
+            "mirrored",
+            "truth",
+            f"{what}: one is the mirror image of the other, north and east exchanged (NED read as "
+            "ENU)",
+            "write east, north, up in that order",
+        )
     if planar is not None and abs(planar.turn_deg) > 1:
-        return fault("truth-frame", "truth", f"{what}: the fixes are turned by "
-        f"{planar.turn_deg:+.1f} "
-                     "deg", "bring both into one ENU frame of one origin")  # fmt: skip
+        return fault(
+            "truth-frame",
+            "truth",
+            f"{what}: the fixes are turned by {planar.turn_deg:+.1f} deg",
+            "bring both into one ENU frame of one origin",
+        )
     east, north = np.median(off_m, axis=0)
     if np.hypot(east, north) < usual_m / 3:
         return warning(
@@ -157,9 +176,12 @@ def _why(
             f"{what} to all sides; their covariance claims less",
             "it is too small: take it from the receiver, or set gnss.sigma_scale",
         )
-    return warning("truth-offset", "truth", f"{what}: by {east:+.2f} m east and {north:+.2f} m "
-    "north",
-                   "is it the same origin, datum and point of the vehicle?")  # fmt: skip
+    return warning(
+        "truth-offset",
+        "truth",
+        f"{what}: by {east:+.2f} m east and {north:+.2f} m north",
+        "is it the same origin, datum and point of the vehicle?",
+    )
 
 
 def _vertical(gnss: GnssFixes, truth: Trajectory) -> Iterator[Finding]:
@@ -170,9 +192,11 @@ def _vertical(gnss: GnssFixes, truth: Trajectory) -> Iterator[Finding]:
     sigma_m = float(np.nanmedian(np.sqrt(np.maximum(gnss.cov_world_m2[rows, 2, 2], 0))))
     if abs(up_m) > TALL_M + 2 * sigma_m:
         yield warning(
-            "height-datum", "truth", f"the fixes lie {up_m:+.1f} m above the truth (median)",
+            "height-datum",
+            "truth",
+            f"the fixes lie {up_m:+.1f} m above the truth (median)",
             "are both above the ellipsoid, or both above sea level? Add the geoid's height to one",
-        )  # fmt: skip
+        )
 
 
 def _covered(gnss: GnssFixes, truth: Trajectory, lag_s: float = 0.0) -> NDArray[np.int64]:
