@@ -12,8 +12,10 @@ from fgloc.datasets.drive_folder import salvage_drive
 from fgloc.diagnosis import (
     clocks,
     covariances,
+    gravity,
     inertial,
     jumps,
+    lags,
     rig,
     sampling,
     speeds,
@@ -44,7 +46,7 @@ CHECKS: tuple[Callable[[Drive], Iterator[Finding]], ...] = (
     jumps.check_heights,
     jumps.check_place,
     speeds.check_velocities,
-    inertial.check_gravity,
+    gravity.check_gravity,
     rig.check_lever_arms,
     speeds.check_wheel,
     truth.check_truth,
@@ -53,7 +55,7 @@ CHECKS: tuple[Callable[[Drive], Iterator[Finding]], ...] = (
 
 MOTION_CHECKS: tuple[Callable[[Drive, Witness | None], Iterator[Finding]], ...] = (
     inertial.check_motion,
-    clocks.check_lags,
+    lags.check_lags,
     inertial.check_turns,
     inertial.check_pushes,
     rig.check_slip,

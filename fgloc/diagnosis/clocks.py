@@ -1,4 +1,4 @@
-"""Checks of the clocks: units and epochs, spans that do not meet, lags, latencies."""
+"""Checks of the stamps: units and epochs, spans that do not meet, latencies."""
 
 from collections.abc import Iterator, Mapping
 
@@ -6,12 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, rows_of, warning
-from fgloc.diagnosis.lag import Lag, speed_lag
-from fgloc.diagnosis.motion import Motion, Signal
-from fgloc.diagnosis.witness import Witness
 from fgloc.drive import Drive
 from fgloc.errors import InputError
-from fgloc.measurements import Array, GnssFixes, Table, WheelSpeeds
+from fgloc.measurements import Array, Table
 from fgloc.timing import GPS_EPOCH_UNIX_S, NS_PER_S, TAI_MINUS_GPS_S, gps_minus_utc_s, iso_utc
 from fgloc.trajectory import Trajectory
 
@@ -21,13 +18,10 @@ FIRST_S, LAST_S = GPS_EPOCH_UNIX_S, 3_471_292_800
 FASTEST_S = 5e-4
 """Rows closer than this (2 kHz) are in another unit than ns, where the date is impossible too."""
 UNITS = ((1_000, "microseconds"), (1_000_000, "milliseconds"), (NS_PER_S, "seconds"))
-SMALLEST_LAG_S = 0.05
-"""Below it a stamp is the sensor's own delay, and the lag costs a car in town less than 1 m."""
 EARLY_S, OLD_S = 1e-3, 10.0
 DRIFT, DRIFT_S = 1e-4, 0.05
 """Quartz keeps time to 1e-4; a latency that grows faster, and so far, is a clock that drifts."""
-_ENDS = 20  # rows at either end whose smallest latency is compared
-_MEETS_S = 1.0
+_FEWEST = 80  # rows; a quarter of them has a smallest latency to compare
 
 
 def check_epochs(drive: Drive) -> Iterator[Finding]:
@@ -98,7 +92,7 @@ def check_overlap(drive: Drive) -> Iterator[Finding]:
         missed = (gnss.t_ns < table.t_ns[0]) | (gnss.t_ns > table.t_ns[-1])
         if missed.all():
             start_s = (int(table.t_ns[0]) - int(gnss.t_ns[0])) / NS_PER_S
-            known = _known_offset(start_s, int(gnss.t_ns[0]), 600.0)
+            known = known_offset(start_s, int(gnss.t_ns[0]), 600.0)
             yield fault(
                 "no-overlap",
                 name,
@@ -128,65 +122,6 @@ def _partly(fixes: int, missed: NDArray[np.bool_]) -> Finding:
     )
 
 
-def check_lags(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
-    """Clocks against that of the fixes, by the motion that both tell of, or by the spans."""
-    if witness is not None and witness.lag is not None:
-        yield from _lag("imu", drive, witness.lag)
-    elif "imu" in drive.tables:
-        yield from _spans("imu", drive, drive.tables["imu"])
-    wheel, motion = drive.tables.get("wheel"), Motion.of(drive)
-    if isinstance(wheel, WheelSpeeds) and motion is not None and len(wheel) > 1:
-        finite = np.isfinite(wheel.speed_mps)
-        speed = wheel.speed_mps[finite][:, None]
-        lag = speed_lag(motion, Signal.of_level(wheel.t_ns[finite], speed, motion.start_ns))
-        if lag is not None:
-            yield from _lag("wheel", drive, lag)
-
-
-def _lag(name: str, drive: Drive, lag: Lag) -> Iterator[Finding]:
-    gnss = drive.gnss
-    told = f"{abs(lag.lag_s):.2f} s (sigma {lag.sigma_s:.2f} s)"
-    if not lag.is_significant or abs(lag.lag_s) < SMALLEST_LAG_S:
-        yield remark(
-            "lag",
-            name,
-            f"its clock and that of gnss agree as far as the motion tells: {told}",
-            "",
-        )
-        return
-    late, early = (name, "gnss") if lag.lag_s > 0 else ("gnss", name)
-    known = _known_offset(abs(lag.lag_s), int(gnss.t_ns[0]), max(0.5, 3 * lag.sigma_s))
-    off_m = abs(lag.lag_s) * float(np.median(_speed(drive)))
-    severity = fault if abs(lag.lag_s) > 1 or off_m > 3 * _claimed_m(gnss) else warning
-    yield severity(
-        "lag",
-        late,
-        f"the same motion bears stamps {told} later than in {early}{known}; at the speed of this "
-        f"drive that is {off_m:,.1f} m",
-        f"take {abs(lag.lag_s):.2f} s off t_ns of {late}, or add it to {early}: stamps tell when "
-        "a measurement was true, in UTC",
-    )
-
-
-def _spans(name: str, drive: Drive, table: Table) -> Iterator[Finding]:
-    """Where motion does not tell: both ends of a table out by the same known offset."""
-    gnss = drive.tables.get("gnss")
-    if gnss is None or len(gnss) < 2 or len(table) < 2:
-        return
-    first_s, last_s = ((int(table.t_ns[i]) - int(gnss.t_ns[i])) / NS_PER_S for i in (0, -1))
-    if table.t_ns[0] > gnss.t_ns[-1] or table.t_ns[-1] < gnss.t_ns[0]:
-        return  # told of already
-    known = _known_offset((first_s + last_s) / 2, int(gnss.t_ns[0]), _MEETS_S)
-    if abs(first_s - last_s) < _MEETS_S and abs(first_s) > _MEETS_S and known:
-        yield warning(
-            "lag",
-            name,
-            f"begins and ends {abs(first_s):,.1f} s {'after' if first_s > 0 else 'before'} "
-            f"gnss{known}",
-            "if both were recorded together, bring their stamps to UTC",
-        )
-
-
 def check_latency(drive: Drive) -> Iterator[Finding]:
     """When measurements arrived: not before they were true, and at a steady delay."""
     for name, table in drive.tables.items():
@@ -204,7 +139,7 @@ def check_latency(drive: Drive) -> Iterator[Finding]:
                 "out",
             )
         elif np.median(late_s) > OLD_S:
-            known = _known_offset(float(np.median(late_s)), int(table.t_ns[0]), 1.0)
+            known = known_offset(float(np.median(late_s)), int(table.t_ns[0]), 1.0)
             yield warning(
                 "latency",
                 name,
@@ -217,7 +152,7 @@ def check_latency(drive: Drive) -> Iterator[Finding]:
 
 def _drift(name: str, table: Table, late_s: Array) -> Iterator[Finding]:
     """The smallest latency is what a clock adds to the way; it must not grow with time."""
-    if len(table) < 4 * _ENDS:
+    if len(table) < _FEWEST:
         return
     parts = np.array_split(late_s, 4)
     grows_s = float(parts[-1].min() - parts[0].min())
@@ -240,7 +175,7 @@ def _clocks(drive: Drive) -> dict[str, Table | Trajectory]:
     )
 
 
-def _known_offset(offset_s: float, t_ns: int, within_s: float) -> str:
+def known_offset(offset_s: float, t_ns: int, within_s: float) -> str:
     """', as ... would' for an offset between two well-known clocks, or nothing."""
     try:
         leap_s = gps_minus_utc_s(t_ns / NS_PER_S)
@@ -260,14 +195,3 @@ def _known_offset(offset_s: float, t_ns: int, within_s: float) -> str:
         return ""
     seconds, name = known[nearest]
     return f", like {name} ({seconds:,} s)"
-
-
-def _speed(drive: Drive) -> Array:
-    motion = Motion.of(drive)
-    assert motion is not None  # or there would be no lag
-    return motion.speed_mps[motion.steps]
-
-
-def _claimed_m(gnss: GnssFixes) -> float:
-    trace = gnss.cov_world_m2[:, 0, 0] + gnss.cov_world_m2[:, 1, 1]
-    return float(np.sqrt(np.nanmedian(trace)))

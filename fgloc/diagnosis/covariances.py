@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, robust_sigma, rows_of, warning
 from fgloc.diagnosis.gnss import even_triples, fixes_of, second_differences, sound_fixes
-from fgloc.diagnosis.inertial import in_mps2
+from fgloc.diagnosis.gravity import in_mps2
 from fgloc.diagnosis.motion import Signal
 from fgloc.diagnosis.sampling import usual_interval_s
 from fgloc.drive import Drive

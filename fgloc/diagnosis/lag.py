@@ -32,6 +32,7 @@ NEAR_S = 1.0
 
 _COARSE_S, _FINE_S = 0.5, 0.05  # motion is smoothed over seconds
 _FINE_REACH_S = 0.75
+_MODEL_S = 0.015  # what sideslip and delays within the sensors leave, however long the drive
 _SHARED_ERRORS = SHARED / 2  # errors of neighbouring steps cancel in part: they share a velocity
 
 
@@ -149,7 +150,7 @@ def _search(motion: Motion, signal: Signal, relations: Relations) -> Lag | None:
     if curvature <= 0:
         return None
     gain, steps = float(likely[peak] - max(none, 0.0)), int(motion.covered(signal, best).sum())
-    return Lag(float(best + b / curvature), float(curvature**-0.5), gain, steps)
+    return Lag(float(best + b / curvature), float(np.hypot(curvature**-0.5, _MODEL_S)), gain, steps)
 
 
 def _anywhere(motion: Motion, signal: Signal) -> Callable[[float], Array]:

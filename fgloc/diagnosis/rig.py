@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from fgloc.diagnosis.finding import MEDIAN_SIGMAS, Finding, fault, warning
-from fgloc.diagnosis.inertial import NEAR, in_degrees, in_mps2
+from fgloc.diagnosis.gravity import NEAR, in_mps2
+from fgloc.diagnosis.inertial import in_degrees
 from fgloc.diagnosis.lag import sideslip
 from fgloc.diagnosis.motion import FEWEST_STEPS, LONGEST_M, fit
 from fgloc.diagnosis.sampling import usual_interval_s

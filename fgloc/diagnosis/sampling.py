@@ -10,11 +10,9 @@ from fgloc.drive import Drive
 from fgloc.measurements import Array, GnssFixes, ImuSamples, Table, WheelSpeeds
 from fgloc.timing import NS_PER_S
 
-Rows = NDArray[np.int64]
-
-SLOWEST_HZ = {"gnss": 0.2, "imu": 20.0, "wheel": 1.0}
-"""Below these a source misses what a vehicle does: it turns and brakes within a second, and an
-IMU's steps have to be shorter than the swing of a car on its springs (1 to 2 Hz)."""
+SLOWEST_HZ = {"gnss": 0.1, "imu": 20.0, "wheel": 1.0}
+"""Below these a source misses too much: a consumer IMU drifts by metres within 10 s without a fix,
+and its own steps have to be far shorter than the swing of a car on its springs (1 to 2 Hz)."""
 WIDE = 5.0
 """A gap is this many times the usual interval."""
 GAP_S = 0.2
