@@ -30,6 +30,7 @@ LONGEST_M = 10.0
 """From the rear axle to the bumper of a bus; a lever arm in cm or mm is far longer."""
 _SPARSEST_S = 2.5  # fixes further apart tell nothing of single turns
 _MOST_HZ = 10.0
+_INTERVALS = 2.25  # to either side: four or five fixes, wherever the knot lies between them
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class Motion:
         fix_s, p_m = _thinned(gnss, start_ns)
         if len(fix_s) < FEWEST_STEPS or np.median(np.diff(fix_s)) > _SPARSEST_S:
             return None
-        half_s = max(HALF_WINDOW_S, 2 * float(np.median(np.diff(fix_s))))
+        half_s = max(HALF_WINDOW_S, _INTERVALS * float(np.median(np.diff(fix_s))))
         knot_s = np.unique(np.round(fix_s / STEP_S)) * STEP_S
         v_mps, sound = slopes(fix_s, p_m, knot_s, half_s)
         return cls(start_ns, fix_s, p_m, knot_s, v_mps, sound, half_s)

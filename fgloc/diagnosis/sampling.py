@@ -1,13 +1,14 @@
 """Checks of every table by itself: rates, gaps, repeats, values that are missing or stuck."""
 
 from collections.abc import Iterator
+from dataclasses import fields
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, robust_sigma, rows_of, warning
 from fgloc.drive import Drive
-from fgloc.measurements import Array, GnssFixes, ImuSamples, Table, WheelSpeeds
+from fgloc.measurements import Array, GnssFixes, ImuSamples, Table
 from fgloc.timing import NS_PER_S
 
 SLOWEST_HZ = {"gnss": 0.1, "imu": 20.0, "wheel": 1.0}
@@ -25,6 +26,7 @@ CLIPPED_SIGMAS = 3.0
 """Coarse digits of an IMU at rest repeat as well, but not so far from the middle."""
 HARDEST_MPS2, HARDEST_RADPS = 160.0, 35.0
 """The widest ranges that are built into vehicles: 16 g and 2000 deg/s."""
+STAMPS = ("t_ns", "received_ns")
 IMU_CHANNELS = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
 _DAY_S = 86_400.0
 
@@ -204,13 +206,11 @@ def usual_interval_s(table: Table) -> float:
 
 
 def values_of(table: Table) -> Array:
-    """What a table measures (N, m), without velocities that a receiver need not give."""
+    """What a table measures (N, m); of fixes the position, since a receiver need not say more."""
     if isinstance(table, GnssFixes):
         return table.p_world_ant_m
-    if isinstance(table, ImuSamples):
-        return np.hstack([table.accel_mps2, table.gyro_radps])
-    assert isinstance(table, WheelSpeeds)  # there is no other kind
-    return np.column_stack([table.speed_mps, table.sigma_mps])
+    columns = [getattr(table, f.name) for f in fields(table) if f.name not in STAMPS]
+    return np.column_stack([column.reshape(len(table), -1) for column in columns])
 
 
 def longest_run(flags: NDArray[np.bool_]) -> tuple[int, int]:
