@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, rows_of, warning
 from fgloc.drive import Drive
-from fgloc.errors import InputError
 from fgloc.measurements import Array, Table
 from fgloc.timing import GPS_EPOCH_UNIX_S, NS_PER_S, TAI_MINUS_GPS_S, gps_minus_utc_s, iso_utc
 from fgloc.trajectory import Trajectory
@@ -177,14 +176,14 @@ def _clocks(drive: Drive) -> dict[str, Table | Trajectory]:
 
 def known_offset(offset_s: float, t_ns: int, within_s: float) -> str:
     """', as ... would' for an offset between two well-known clocks, or nothing."""
-    try:
-        leap_s = gps_minus_utc_s(t_ns / NS_PER_S)
-    except InputError:
-        leap_s = gps_minus_utc_s(LAST_S)
+    now_s = gps_minus_utc_s(LAST_S)
+    leap_s = gps_minus_utc_s(t_ns / NS_PER_S) if t_ns > FIRST_S * NS_PER_S else now_s
     known = (
         (leap_s, "GPS time against UTC"),
         (TAI_MINUS_GPS_S, "TAI against GPS time"),
         (leap_s + TAI_MINUS_GPS_S, "TAI against UTC"),
+        (now_s, "GPS time against UTC since 2017"),
+        (now_s + TAI_MINUS_GPS_S, "TAI against UTC since 2017"),
         (GPS_EPOCH_UNIX_S, "the epoch of GPS (1980) against that of POSIX (1970)"),
         (NTP_EPOCH_S, "the epoch of NTP (1900) against that of POSIX (1970)"),
         *((3600 * hours, f"a time zone of {hours} h") for hours in range(1, 15)),

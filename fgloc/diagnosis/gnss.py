@@ -9,6 +9,11 @@ from fgloc.drive import Drive
 from fgloc.measurements import Array, GnssFixes
 from fgloc.timing import elapsed_s
 
+FASTEST_MPS = 70.0
+"""A road vehicle: 250 km/h."""
+SIGMAS = 6.0
+"""So far out lies one honest fix of a thousand million."""
+
 
 def fixes_of(drive: Drive) -> GnssFixes | None:
     """The GNSS table of a drive, or None where there are no rows."""
@@ -27,6 +32,19 @@ def sound_fixes(drive: Drive) -> GnssFixes | None:
     if not len(gnss):
         return None
     return gnss.take(np.concatenate([[True], np.diff(gnss.t_ns) > 0]))
+
+
+def strays(t_s: Array, p_m: Array, sigma_m: float | Array) -> NDArray[np.int64]:
+    """Rows (M,) to which and from which no vehicle comes, of times (N,) and positions (N, 2)."""
+    return np.flatnonzero((fast := too_fast(t_s, p_m, sigma_m))[1:] & fast[:-1]) + 1
+
+
+def too_fast(t_s: Array, p_m: Array, sigma_m: float | Array) -> NDArray[np.bool_]:
+    """(N - 1,) bool: the steps that no vehicle takes, whatever the noise of sigma (N,)."""
+    sigma_m = np.broadcast_to(sigma_m, t_s.shape)
+    step_m = np.hypot(*np.diff(p_m, axis=0).T)
+    noise_m = SIGMAS * np.hypot(sigma_m[1:], sigma_m[:-1])
+    return np.asarray(step_m > FASTEST_MPS * np.diff(t_s) + noise_m)
 
 
 def even_triples(gnss: GnssFixes) -> NDArray[np.int64]:

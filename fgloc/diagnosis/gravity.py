@@ -92,6 +92,13 @@ def _upright(up: Array) -> Iterator[Finding]:
         )
 
 
+def is_upright(drive: Drive, imu: ImuSamples) -> bool:
+    """Whether gravity, if there is any, reads along the vehicle's z."""
+    force = mean_force(drive, imu)
+    size = float(np.linalg.norm(force))
+    return _weightless(size) or bool(force[2] > np.cos(np.radians(MISALIGNED_DEG)) * size)
+
+
 def mean_force(drive: Drive, imu: ImuSamples) -> Array:
     """Median specific force (3,), vehicle axes, in the unit of the table."""
     finite = np.isfinite(imu.accel_mps2).all(-1)

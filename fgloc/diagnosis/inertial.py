@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from fgloc.diagnosis.finding import Finding, fault, remark, warning
-from fgloc.diagnosis.gravity import MISALIGNED_DEG, NEAR, mean_force
+from fgloc.diagnosis.gravity import MISALIGNED_DEG, NEAR, is_upright
 from fgloc.diagnosis.motion import FEWEST_STEPS, fit
 from fgloc.diagnosis.planar import Planar
 from fgloc.diagnosis.witness import Witness
@@ -13,6 +13,8 @@ from fgloc.drive import Drive
 from fgloc.measurements import ImuSamples
 
 DEGREES = 180 / np.pi
+CLEAR = 0.8
+"""Of a correlation: slopes and springs leave two thirds of the variance to the pushes, and more."""
 FASTEST_RADPS = 3.0
 """A vehicle that turns this fast for more than a moment is spinning."""
 _SIGNIFICANT = 5.0
@@ -25,6 +27,8 @@ def check_turns(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
         yield from _spinning(drive)
         return
     gain, sure = found
+    imu = drive.tables["imu"]
+    upright = isinstance(imu, ImuSamples) and is_upright(drive, imu)  # else it is told of already
     if in_degrees(witness):
         yield fault(
             "gyro-unit",
@@ -33,15 +37,17 @@ def check_turns(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
             "in rad/s",
             "multiply by pi/180",
         )
-    elif not 1 - 2 * NEAR < abs(gain) < 1 / (1 - 2 * NEAR) and abs(abs(gain) - 1) > sure:
+    elif (
+        upright and not 1 - 2 * NEAR < abs(gain) < 1 / (1 - 2 * NEAR) and abs(abs(gain) - 1) > sure
+    ):
         yield warning(
             "gyro-unit",
             "imu",
             f"the course turns by {abs(gain):.3g} of what the gyro says",
             "check its unit and scale, and that z is the vertical axis",
         )
-    if gain < 0:
-        yield from _opposite(drive, witness)
+    if gain < 0 and upright:
+        yield from _opposite(witness)
 
 
 def in_degrees(witness: Witness | None) -> bool:
@@ -50,13 +56,9 @@ def in_degrees(witness: Witness | None) -> bool:
     return found is not None and abs(abs(found[0]) * DEGREES - 1) < 2 * NEAR
 
 
-def _opposite(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
+def _opposite(witness: Witness | None) -> Iterator[Finding]:
     """The course turns against the gyro. In a left turn the specific force points to the left."""
-    imu = drive.tables["imu"]
-    assert isinstance(imu, ImuSamples) and witness is not None  # or there would be no gain
-    if mean_force(drive, imu)[2] < 0:
-        return  # z-down axes turn the other way, and have been told of
-    planar = _pushes(witness)
+    planar = None if witness is None else _pushes(witness)
     told = "the course turns right where the gyro turns left"
     if planar is None:
         yield fault(
@@ -84,12 +86,13 @@ def _opposite(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
 
 def check_pushes(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
     """Forward and sideways force against changes of velocity: the IMU's axes seen from above."""
-    planar = None if witness is None else _pushes(witness)
-    gain = _turn_gain(witness)
     imu = drive.tables.get("imu")
-    if planar is None or not isinstance(imu, ImuSamples) or mean_force(drive, imu)[2] < 0:
+    if witness is None or not isinstance(imu, ImuSamples) or not is_upright(drive, imu):
         return
-    if planar.mirrored and gain is not None and gain[0] > 0:
+    planar, gain = _pushes(witness), _turn_gain(witness)
+    if planar is None:
+        yield from _forward(witness)
+    elif planar.mirrored and gain is not None and gain[0] > 0:
         yield fault(
             "imu-axes",
             "imu",
@@ -105,6 +108,26 @@ def check_pushes(drive: Drive, witness: Witness | None) -> Iterator[Finding]:
             "and left",
             "state the mounting in rig.T_veh_imu, or exchange the columns",
         )
+
+
+def _forward(witness: Witness) -> Iterator[Finding]:
+    """Where there are no turns, speeding up and braking alone tell which axis is forward."""
+    use = witness.use
+    if use.sum() < 2 * FEWEST_STEPS:
+        return
+    told = np.column_stack([witness.motion.push_mps[use, 0], witness.push_mps[use]])
+    x, y = np.corrcoef(told.T)[0, 1:]
+    found = ((-x, y, "backwards along x"), (abs(y), x, "along y"))
+    for clear, other, where in found:
+        if clear > CLEAR and abs(other) < clear / 2:
+            yield fault(
+                "imu-axes",
+                "imu",
+                f"speeding up reads {where} (correlation {clear:.2f}, of the other axis "
+                f"{other:+.2f})",
+                "x is forward and y is left: state the mounting in rig.T_veh_imu, or exchange "
+                "the columns",
+            )
 
 
 def check_motion(drive: Drive, witness: Witness | None) -> Iterator[Finding]:

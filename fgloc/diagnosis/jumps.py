@@ -6,7 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, rows_of, warning
-from fgloc.diagnosis.gnss import fixes_of, noise_m, sound_fixes
+from fgloc.diagnosis.gnss import (
+    FASTEST_MPS,
+    SIGMAS,
+    fixes_of,
+    noise_m,
+    sound_fixes,
+    strays,
+    too_fast,
+)
 from fgloc.diagnosis.sampling import longest_run, usual_interval_s
 from fgloc.drive import Drive
 from fgloc.measurements import Array, GnssFixes
@@ -14,10 +22,8 @@ from fgloc.timing import elapsed_s
 
 STEEPEST = 0.2
 """Roads climb by less; a height that changes faster did not come from driving."""
-FASTEST_MPS, HARDEST_MPS2 = 70.0, 10.0
-"""A road vehicle: 250 km/h, and as hard as tyres can push."""
-SIGMAS = 6.0
-"""So far out lies one honest fix of a thousand million."""
+HARDEST_MPS2 = 10.0
+"""As hard as tyres can push."""
 _SIDE = 5  # fixes to either side of a step in height
 _FAR_M = 50_000.0
 
@@ -28,12 +34,12 @@ def check_jumps(drive: Drive) -> Iterator[Finding]:
     if gnss is None or len(gnss) < 3:
         return
     t_s = elapsed_s(gnss.t_ns, int(gnss.t_ns[0]))
-    p, dt_s = gnss.p_world_ant_m[:, :2], np.diff(t_s)
+    p = gnss.p_world_ant_m[:, :2]
     sigma_m = np.hypot(*noise_m(gnss)[:, :2].T)
     step_m = np.hypot(*np.diff(p, axis=0).T)
-    jump = step_m > FASTEST_MPS * dt_s + SIGMAS * np.hypot(sigma_m[1:], sigma_m[:-1])
-    alone = np.flatnonzero(jump[1:] & jump[:-1]) + 1
-    stays = np.setdiff1d(np.flatnonzero(jump) + 1, np.concatenate([alone, alone + 1]))
+    alone = strays(t_s, p, sigma_m)
+    jumps = np.flatnonzero(too_fast(t_s, p, sigma_m)) + 1
+    stays = np.setdiff1d(jumps, np.concatenate([alone, alone + 1]))
     if len(alone):
         yield warning(
             "outlier",

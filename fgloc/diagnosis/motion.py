@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import robust_sigma
+from fgloc.diagnosis.gnss import strays
 from fgloc.drive import Drive
 from fgloc.frames import wrap_pi
 from fgloc.measurements import Array, GnssFixes, ImuSamples
@@ -30,6 +31,7 @@ LONGEST_M = 10.0
 """From the rear axle to the bumper of a bus; a lever arm in cm or mm is far longer."""
 _SPARSEST_S = 2.5  # fixes further apart tell nothing of single turns
 _MOST_HZ = 10.0
+_USUAL_SIGMA_M = 5.0  # of a receiver without corrections
 _INTERVALS = 2.25  # to either side: four or five fixes, wherever the knot lies between them
 
 
@@ -199,8 +201,10 @@ def fit(A: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _thinned(gnss: GnssFixes, start_ns: int) -> tuple[Array, Array]:
-    """Times and positions of finite fixes, one an instant and no more than needed."""
+    """Times and positions of finite fixes, without strays and no more than needed."""
     finite = np.flatnonzero(np.isfinite(gnss.p_world_ant_m).all(-1))
     slot = ((gnss.t_ns[finite] - start_ns) // round(1e9 / _MOST_HZ)).astype(np.int64)
     once = finite[np.unique(slot, return_index=True)[1]]
-    return elapsed_s(gnss.t_ns[once], start_ns), gnss.p_world_ant_m[once]
+    t_s, p_m = elapsed_s(gnss.t_ns[once], start_ns), gnss.p_world_ant_m[once]
+    stray = strays(t_s, p_m[:, :2], _USUAL_SIGMA_M)
+    return np.delete(t_s, stray), np.delete(p_m, stray, axis=0)

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, warning
-from fgloc.diagnosis.gnss import sound_fixes
-from fgloc.diagnosis.jumps import SIGMAS
+from fgloc.diagnosis.gnss import SIGMAS, sound_fixes
 from fgloc.diagnosis.motion import LONGEST_M, slopes
 from fgloc.diagnosis.planar import Planar
 from fgloc.drive import Drive

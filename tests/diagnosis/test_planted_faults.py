@@ -3,6 +3,7 @@
 import dataclasses
 from functools import cache
 
+import numpy as np
 import pytest
 
 import fgloc
@@ -101,6 +102,44 @@ def test_a_clean_drive_without_truth_or_turns_has_no_fault():
     first_fixes = drive.gnss.t_ns < drive.start_ns + 15_000_000_000
     short = drive.with_tables(gnss=drive.gnss.take(first_fixes))
     assert not worse_than_remark(short)
+
+
+def test_a_stray_fix_is_one_finding():
+    """It does not bend the motion by which all else is judged."""
+    findings = worse_than_remark(FAULTS["a stray fix"].plant(rtk_part()))
+    assert [one.check for one in findings] == ["outlier"]
+
+
+def test_a_turned_imu_is_found_on_a_straight_road():
+    """Only speeding up and braking tell."""
+    drive = straight(FAULTS["imu turned by a quarter"].plant)
+    assert [one.check for one in worse_than_remark(drive)] == ["imu-axes"]
+    assert not worse_than_remark(straight(lambda drive: drive))
+
+
+def straight(plant):
+    """Speeding up and braking eastwards, told by exact fixes and a perfect IMU."""
+    t_s = np.arange(0, 90, 0.02)
+    speed, push = 12 + 6 * np.sin(0.3 * t_s), 1.8 * np.cos(0.3 * t_s)
+    t_ns, zero, n = city(31, 60.0).start_ns + np.round(t_s * 1e9).astype(int), 0 * t_s, len(t_s)
+    p_world_ant_m = np.stack([12 * t_s - 20 * np.cos(0.3 * t_s), zero, zero], -1)
+    rng = np.random.default_rng(3)
+    accel = np.stack([push, zero, zero + 9.81], -1) + 1e-2 * rng.standard_normal((n, 3))
+    fixes = fgloc.GnssFixes(
+        t_ns, t_ns, p_world_ant_m + 0.02 * rng.standard_normal((n, 3)),
+        np.tile(np.eye(3) * 4e-4, (n, 1, 1)), np.tile(np.nan, (n, 3)),
+    )  # fmt: skip
+    imu = fgloc.ImuSamples(t_ns, t_ns, accel, 1e-3 * rng.standard_normal((n, 3)))
+    assert speed.min() > 5
+    rig = fgloc.Rig(imu_noise=fgloc.ImuNoise(1e-2, 1e-3, 1e-3, 1e-4))
+    return plant(
+        fgloc.Drive(
+            "straight",
+            fgloc.Origin(52, 9, 0),
+            rig,
+            {"gnss": fixes.take(slice(None, None, 10)), "imu": imu},
+        )
+    )
 
 
 def test_a_minute_of_a_clean_recording_shows_no_lag():
