@@ -29,13 +29,11 @@ from fgloc.errors import InputError
 __all__ = ["CHECKS", "MOTION_CHECKS", "SEVERITIES", "Finding", "diagnose", "diagnose_folder"]
 
 CHECKS: tuple[Callable[[Drive], Iterator[Finding]], ...] = (
-    sampling.check_rows,
     clocks.check_epochs,
     clocks.check_overlap,
     sampling.check_rates,
     sampling.check_gaps,
     sampling.check_duplicates,
-    sampling.check_finite,
     sampling.check_stuck,
     sampling.check_range,
     clocks.check_latency,
@@ -51,7 +49,7 @@ CHECKS: tuple[Callable[[Drive], Iterator[Finding]], ...] = (
     speeds.check_wheel,
     truth.check_truth,
 )
-"""Checks of tables by themselves, or against one other."""
+"""Checks of tables by themselves, or against one other, where there are rows to check."""
 
 MOTION_CHECKS: tuple[Callable[[Drive, Witness | None], Iterator[Finding]], ...] = (
     inertial.check_motion,
@@ -66,7 +64,9 @@ MOTION_CHECKS: tuple[Callable[[Drive, Witness | None], Iterator[Finding]], ...] 
 
 def diagnose(drive: Drive) -> list[Finding]:
     """All findings about a drive, by source, the worst first; an empty list finds nothing."""
-    found = [finding for check in CHECKS for finding in check(drive)]
+    found = [*sampling.check_rows(drive), *sampling.check_finite(drive)]
+    drive = sampling.usable(drive)
+    found += [finding for check in CHECKS for finding in check(drive)]
     witness = Witness.of(drive)
     found += [finding for check in MOTION_CHECKS for finding in check(drive, witness)]
     return in_order(found)

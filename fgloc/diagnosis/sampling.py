@@ -1,7 +1,7 @@
 """Checks of every table by itself: rates, gaps, repeats, values that are missing or stuck."""
 
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -198,6 +198,16 @@ def _clipped(imu: ImuSamples, name: str, column: Array, unit: str) -> Iterator[F
             )
 
 
+def usable(drive: Drive) -> Drive:
+    """The drive with those tables of which two rows or more are finite."""
+    tables = {
+        name: table
+        for name, table in drive.tables.items()
+        if np.isfinite(values_of(table)).all(-1).sum() > 1
+    }
+    return replace(drive, tables=tables)
+
+
 def usual_interval_s(table: Table) -> float:
     """Median interval of a table's rows in s, 0 where it has none."""
     steps = np.diff(table.t_ns)
@@ -210,7 +220,7 @@ def values_of(table: Table) -> Array:
     if isinstance(table, GnssFixes):
         return table.p_world_ant_m
     columns = [getattr(table, f.name) for f in fields(table) if f.name not in STAMPS]
-    return np.column_stack([column.reshape(len(table), -1) for column in columns])
+    return np.column_stack([column.reshape(len(table), column[:1].size or 1) for column in columns])
 
 
 def longest_run(flags: NDArray[np.bool_]) -> tuple[int, int]:

@@ -150,3 +150,21 @@ def test_a_minute_of_a_clean_recording_shows_no_lag():
         inside = (samples.t_ns >= part.t_ns[0]) & (samples.t_ns <= part.t_ns[-1])
         drive = rtk().with_tables(gnss=part, imu=samples.take(inside))
         assert not worse_than_remark(drive)
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2, 30])
+def test_a_drive_with_hardly_a_row_is_checked_all_the_same(rows):
+    tables = {name: table.take(slice(rows)) for name, table in city(31, 60.0).tables.items()}
+    findings = diagnose(city(31, 60.0).with_tables(**tables))
+    assert any(one.check == "no-rows" for one in findings) is (rows < 2)
+
+
+def test_a_drive_of_nothing_but_nan_is_checked_all_the_same():
+    drive = city(31, 60.0)
+    fixes, samples = drive.gnss, drive.imu
+    nothing = drive.with_tables(
+        gnss=dataclasses.replace(fixes, p_world_ant_m=np.nan * fixes.p_world_ant_m),
+        imu=dataclasses.replace(samples, accel_mps2=np.nan * samples.accel_mps2),
+    )
+    checks = {(one.source, one.check) for one in diagnose(nothing) if one.severity == "fault"}
+    assert {("gnss", "not-finite"), ("imu", "not-finite")} <= checks
