@@ -4,6 +4,8 @@ Reading gives back every bit that was written. The attitude of the truth is stor
 for that reason (columns r00 to r22); quaternions qx,qy,qz,qw are read as well.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from fgloc.datasets.columns import Columns, Layout
@@ -28,7 +30,7 @@ from fgloc.datasets.drive_toml import (
 from fgloc.datasets.parquet_table import read_table, write_table
 from fgloc.datasets.trajectory_columns import TRUTH, trajectory_from_columns, trajectory_to_columns
 from fgloc.drive import Drive
-from fgloc.errors import DriveError, nearest
+from fgloc.errors import DriveError, InputError, nearest
 from fgloc.frames import Origin
 from fgloc.measurements import Table
 from fgloc.trajectory import Trajectory
@@ -65,6 +67,53 @@ def read_drive(folder: str | Path) -> Drive:
         _truth(folder, about, files, columns, origin),
         to_about(about.about),
     )
+
+
+def salvage_drive(folder: str | Path) -> tuple[Drive | None, dict[str, InputError]]:
+    """What can be read of a faulty folder, and each part that cannot, with its error.
+
+    Parts are tables by their name, and 'drive' for all else. The drive is None where too little is
+    left. Raises DriveError where the folder is no drive at all.
+    """
+    folder = Path(folder)
+    _check_folder(folder)
+    faults: dict[str, InputError] = {}
+    with _kept(faults, "drive"):
+        about = read_toml(folder / FILE_NAME)
+    files: dict[str, Path] = {}
+    with _kept(faults, "drive"):
+        files = _table_files(folder)
+    columns: dict[str, Columns] = {}
+    for stem, path in files.items():
+        with _kept(faults, stem):
+            columns[stem] = read_table(path, _layout(stem))
+    origin_is_known = "drive" not in faults and (about.origin is not None or "gnss" in columns)
+    if not origin_is_known:
+        return None, faults
+    with _kept(faults, "drive"):
+        origin = _origin(folder, about, files, columns)
+        rig = to_rig(folder / FILE_NAME, about.rig)
+    if "drive" in faults:
+        return None, faults
+    tables: dict[str, Table] = {}
+    for stem in [stem for stem in LAYOUTS if stem in columns]:
+        with _kept(faults, stem):
+            tables[stem] = _table(stem, files[stem], columns[stem], origin)
+    truth = None
+    if "truth" not in faults:
+        with _kept(faults, "truth"):
+            truth = _truth(folder, about, files, columns, origin)
+    drive = Drive(about.name, origin, rig, tables, truth, to_about(about.about))
+    return (drive if tables else None), faults
+
+
+@contextmanager
+def _kept(faults: dict[str, InputError], part: str) -> Iterator[None]:
+    """Keep the error of a part, the first if there are several, and go on."""
+    try:
+        yield
+    except InputError as err:
+        faults.setdefault(part, err)
 
 
 def write_drive(

@@ -13,8 +13,9 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fgloc.api import baseline, compare, load, make, score, smooth
+    from fgloc.api import baseline, compare, doctor, load, make, score, smooth
     from fgloc.config import SmoothConfig
+    from fgloc.diagnosis.finding import Finding
     from fgloc.drive import About, Drive, ImuNoise, Rig
     from fgloc.errors import ConfigError, DriveError, FglocError, InputError, SolverError
     from fgloc.evaluation.comparison import Comparison, Method
@@ -28,16 +29,15 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOME = {
-    "baseline": "api", "compare": "api", "load": "api", "make": "api", "score": "api",
-    "smooth": "api", "Comparison": "evaluation.comparison", "Method": "evaluation.comparison",
-    "Metric": "evaluation.metric", "SmoothConfig": "config", "About": "drive",
-    "Drive": "drive", "ImuNoise": "drive", "Rig": "drive", "ConfigError": "errors",
-    "DriveError": "errors", "FglocError": "errors", "InputError": "errors",
-    "SolverError": "errors", "Origin": "frames",
-    "GnssFixes": "measurements", "ImuSamples": "measurements", "WheelSpeeds": "measurements",
-    "SteeringAngles": "measurements", "Event": "result", "Result": "result",
-    "Trajectory": "trajectory",
-    "SourceVerdicts": "verdicts", "Verdict": "verdicts",
+    "baseline": "api", "compare": "api", "doctor": "api", "load": "api", "make": "api",
+    "score": "api", "smooth": "api", "Comparison": "evaluation.comparison",
+    "Method": "evaluation.comparison", "Metric": "evaluation.metric", "SmoothConfig": "config",
+    "Finding": "diagnosis.finding", "About": "drive", "Drive": "drive", "ImuNoise": "drive",
+    "Rig": "drive", "ConfigError": "errors", "DriveError": "errors", "FglocError": "errors",
+    "InputError": "errors", "SolverError": "errors", "Origin": "frames",
+    "GnssFixes": "measurements", "ImuSamples": "measurements", "SteeringAngles": "measurements",
+    "WheelSpeeds": "measurements", "Event": "result", "Result": "result",
+    "Trajectory": "trajectory", "SourceVerdicts": "verdicts", "Verdict": "verdicts",
 }  # fmt: skip
 """The module that each public name comes from."""
 
@@ -49,6 +49,7 @@ __all__ = [
     "DriveError",
     "Event",
     "FglocError",
+    "Finding",
     "GnssFixes",
     "ImuNoise",
     "ImuSamples",
@@ -68,6 +69,7 @@ __all__ = [
     "__version__",
     "baseline",
     "compare",
+    "doctor",
     "load",
     "make",
     "score",

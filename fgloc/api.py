@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fgloc.config import Mode, SmoothConfig, load_config
+from fgloc.diagnosis.finding import Finding
 from fgloc.drive import Drive
 from fgloc.errors import InputError
 from fgloc.evaluation.comparison import Comparison, Method, compare_methods
@@ -111,6 +112,20 @@ def prepare(
         return load(drive, seed=seed), config
     used = DEFAULT_SEED if config.seed is None else config.seed
     return load(drive, seed=used), config.model_copy(update={"seed": used})
+
+
+def doctor(drive: DriveLike, *, seed: int | None = None) -> list[Finding]:
+    """What is wrong with a drive, before it is fused; each finding has its numbers and a remedy.
+
+    A folder that cannot be read as a drive is a finding too, and the tables that can are checked.
+    Raises InputError for an unknown name, DriveError where there is no drive at all.
+    """
+    from fgloc.datasets.drive_folder import is_drive_folder
+    from fgloc.diagnosis import diagnose, diagnose_folder
+
+    if not isinstance(drive, Drive) and seed is None and is_drive_folder(drive):
+        return diagnose_folder(drive)
+    return diagnose(load(drive, seed=seed))
 
 
 def baseline(drive: DriveLike, method: str, *, seed: int | None = None) -> Result:

@@ -14,7 +14,7 @@ from fgloc.errors import InputError
 from fgloc.verdicts import Verdict
 
 SURFACE = {
-    "load", "make", "smooth", "baseline", "score", "compare",
+    "load", "make", "smooth", "baseline", "score", "compare", "doctor", "Finding",
     "Drive", "Rig", "ImuNoise", "About", "Origin", "GnssFixes", "ImuSamples", "WheelSpeeds",
     "SteeringAngles",
     "Trajectory", "Result", "Event", "Verdict", "SourceVerdicts", "Metric", "Method", "Comparison",

@@ -23,7 +23,8 @@ from fgloc.outputs import FILES, VERDICT_COLUMNS, format_verdicts
 from fgloc.verdicts import SourceVerdicts, Verdict
 
 COMMANDS = (
-    "datasets", "make", "import", "degrade", "smooth", "baseline", "compare", "eval", "explain",
+    "datasets", "make", "import", "doctor", "degrade", "smooth", "baseline", "compare", "eval",
+    "explain",
 )  # fmt: skip
 METRICS = {
     "horizontal_rmse_m", "horizontal_mean_m", "horizontal_std_m", "horizontal_p95_m",

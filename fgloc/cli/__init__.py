@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import click
 
 from fgloc.cli.comparing import compare
+from fgloc.cli.doctor import doctor
 from fgloc.cli.drives import datasets, degrade, import_drive, make
 from fgloc.cli.results import evaluate, explain
 from fgloc.cli.runs import baseline, smooth
@@ -54,7 +55,7 @@ def cli() -> None:
 
 
 for _command in (
-    datasets, make, import_drive, degrade, smooth, baseline, compare, evaluate, explain,
+    datasets, make, import_drive, doctor, degrade, smooth, baseline, compare, evaluate, explain,
 ):  # fmt: skip
     cli.add_command(_command)
 

@@ -46,11 +46,11 @@ class Band:
         n, d, width = self.columns.shape
         first, stop = portion.first, portion.stop
         for c in range(d):
-            self.columns[first:stop, c, : width - c] += portion.blocks[:-1, c:, c]
+            self.columns[first:stop, c, : width - c] += portion.blocks[:-1, c, c:]
         self.gradient[first:stop] += portion.gradient[:-1]
         if stop < n:
             for c in range(d):
-                self.columns[stop, c, : d - c] += portion.blocks[-1, c:d, c]
+                self.columns[stop, c, : d - c] += portion.blocks[-1, c, c:d]
             self.gradient[stop] += portion.gradient[-1]
 
     def factor(self, damping: Array | float) -> "Factor":
@@ -63,14 +63,14 @@ class Band:
 
 
 class Portion:
-    """Terms of consecutive blocks, each block's lower triangle in full over that of the next.
+    """Terms of consecutive blocks, with room for all of H between a block and itself or the next.
 
-    `blocks` is (m + 1, 2 d, d): the last is what the terms say of the block after them.
+    `blocks` is (m + 1, d, 2 d): the last is what the terms say of the block after them.
     """
 
     def __init__(self, first: int, stop: int, d: int) -> None:
         self.first, self.stop = first, stop
-        self.blocks = np.zeros((stop - first + 1, 2 * d, d))
+        self.blocks = np.zeros((stop - first + 1, d, 2 * d))
         self.gradient = np.zeros((stop - first + 1, d))
 
     def add(
@@ -82,14 +82,15 @@ class Portion:
         counted from the start of the block, and on into the next block from d on.
         """
         d = self.gradient.shape[1]
-        here = int(np.searchsorted(at, d))
-        rows = blocks - self.first
-        _add(self.blocks, (rows, at, at[:here]), curvature[:, :, :here])
-        _add(self.gradient, (rows, at[:here]), gradient[:, :here])
-        if here < len(at):
-            after = at[here:] - d
-            _add(self.blocks, (rows + 1, after, after), curvature[:, here:, here:])
-            _add(self.gradient, (rows + 1, after), gradient[:, here:])
+        n = int(np.searchsorted(at, d))
+        rows, here = blocks - self.first, at[:n]
+        _add(self.blocks, (rows, here, here), curvature[:, :n, :n])
+        _add(self.gradient, (rows, here), gradient[:, :n])
+        if n < len(at):
+            after = at[n:] - d
+            _add(self.blocks, (rows, here, at[n:]), curvature[:, :n, n:])
+            _add(self.blocks, (rows + 1, after, after), curvature[:, n:, n:])
+            _add(self.gradient, (rows + 1, after), gradient[:, n:])
 
 
 class Factor(ABC):
