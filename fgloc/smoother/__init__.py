@@ -43,9 +43,10 @@ def _batch(drive: Drive, planned: Plan, config: SmoothConfig) -> Result:
     summary = _summary(model, run.factors) | {"iterations": run.iterations, "cost": run.cost}
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
     summary["yaw_observable_s"] = 0.0 if known else None
+    events = _in_order((*model.plan.events, *run.events))
     return Result(
         run.log.trajectory(model), model.plan.verdicts, summary, summary["method"],
-        causal=False, events=model.plan.events, config=_provenance(model.config),
+        causal=False, events=events, config=_provenance(model.config),
     )  # fmt: skip
 
 

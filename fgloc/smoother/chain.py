@@ -27,8 +27,8 @@ from fgloc.smoother.model import (
     YAW_SIGMA_RAD,
     Model,
 )
-from fgloc.smoother.newton import Curvature, descend
-from fgloc.smoother.states import States
+from fgloc.smoother.newton import NEAR, Curvature, Descent
+from fgloc.smoother.states import Robustness, States
 from fgloc.timing import iso_utc
 
 POSE, VELOCITY, BIAS, GNSS_BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15), np.arange(15, 18)
@@ -91,20 +91,24 @@ class Chain:
         """The same for the first n keyframes alone."""
         return Chain(self.model, self._prior, self.deltas.take(slice(n - 1)))
 
-    def optimum(self, states: States, gated: NDArray[np.bool_]) -> tuple[States, float, int]:
-        """The states of least cost, that cost and the iterations; `gated` (fixes,) are left out.
+    def optimum(
+        self, states: States, robust: Robustness, *, rough: bool = False
+    ) -> tuple[States, float, int]:
+        """The states of least cost, that cost and the iterations; `rough` stops when near.
 
         Raises SolverError that names the state and its time.
         """
+        solver = self.model.config.solver
+        descent = Descent(self, robust, solver.max_iterations)
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                solved = descend(self, states, gated, self.model.config.solver)
+                result, cost = descent.run(states, solver.cost_tolerance, NEAR if rough else 0.0)
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
-        if not np.isfinite(solved[1]):
+        if not np.isfinite(cost):
             far = np.abs(self._fix_residual(states).error).max(-1)
             raise self._failure(int(self.fixed[np.nanargmax(far)]) * self.width)
-        return solved
+        return result, cost, descent.iterations
 
     def moved(self, states: States, step: Array) -> States:
         """The states after a step (n, d) in their tangents; copies of a bias stay alike."""
@@ -118,21 +122,21 @@ class Chain:
         )
 
     def linearize(
-        self, states: States, gated: NDArray[np.bool_], curvature: Curvature
+        self, states: States, robust: Robustness, curvature: Curvature
     ) -> tuple[float, Band]:
         """The cost at some states, half a sum of squares under the loss, and its normal equations.
 
-        "plain" leaves the loss out of both. Else the curvature is that of "newton", which converges
-        in a few steps once it is near, or of reweighted least squares ("weights"), which never
-        climbs far and is what covariances are taken from.
+        Under a loss the curvature is that of "newton", which converges in a few steps once it is
+        near, or of reweighted least squares ("weights"), which never climbs far and is what
+        covariances are taken from.
         """
         cost, band = 0.0, Band(self.n, self.width)
         for first in range(0, self.n, BLOCKS_AT_ONCE):
             portion = band.portion(first, first + BLOCKS_AT_ONCE)
-            for term in self._terms(states, gated, portion.first, portion.stop):
+            for term in self._terms(states, robust.gated, portion.first, portion.stop):
                 J, e = term.jacobian, term.error
-                if term.robust and curvature != "plain":
-                    value, across, along = self._loss(e)
+                if term.robust and np.isfinite(robust.loss_width):
+                    value, across, along = self._loss(e, robust.loss_width)
                     gradient = np.matmul((e * across)[:, None], J)[:, 0]
                     J = _bent(J, e, across, along if curvature == "newton" else across)
                 else:
@@ -151,9 +155,9 @@ class Chain:
         gradient[:, BIAS] = 0
         gradient[first[:, None], BIAS] = total
 
-    def covariances(self, states: States, gated: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
-        _, band = self.linearize(states, gated, "weights")
+        _, band = self.linearize(states, robust, "weights")
         keep = np.append(POSE, GNSS_BIAS) if self.width > 15 else POSE
         try:
             cov = band.factor(0.0).inverse_blocks(self.n, keep)
@@ -245,12 +249,12 @@ class Chain:
         z = self.model.fixes.p_world_ant_m[self.model.fix_of[at]]
         return gnss.residual(states.p[at], states.R[at], z, self.model.lever, states.gnss_bias[at])
 
-    def _loss(self, error: Array) -> tuple[float, Array, Array]:
+    def _loss(self, error: Array, width: float) -> tuple[float, Array, Array]:
         """Cost of whitened fixes, and the weights (M, 1) of their errors across and along them."""
-        c = self.model.config.gnss
+        loss = self.model.config.gnss.loss
         norm = np.linalg.norm(error, axis=-1, keepdims=True)
         cost, across, along = (
-            f(norm, c.loss, c.loss_width) for f in (noise.cost, noise.weight, noise.curvature)
+            f(norm, loss, width) for f in (noise.cost, noise.weight, noise.curvature)
         )
         return float(cost.sum()), across, along
 

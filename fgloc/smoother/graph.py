@@ -57,7 +57,7 @@ class GraphModel(Model):
 
     def __init__(self, drive: Drive, plan: Plan, config: SmoothConfig) -> None:
         super().__init__(drive, plan, config)
-        self._fix_noises: dict[bytes, Any] = {}
+        self._fix_noises: dict[tuple[bytes, float], Any] = {}
 
     @cached_property
     def thresholds(self) -> Thresholds:
@@ -128,22 +128,24 @@ class GraphModel(Model):
             factors.append(gtsam.BetweenFactorConstantBias(B(b), B(b + 1), still, walk))
         return factors
 
-    def fix_factors(self, j: int) -> Factors:
-        """The GNSS fix at keyframe j."""
+    def fix_factors(self, j: int, loss_width: float | None = None) -> Factors:
+        """The GNSS fix at keyframe j; without a width of the loss, the configuration's."""
         row = self.fix_of[j]
-        z, model = self.fixes.p_world_ant_m[row], self._fix_noise(row)
+        z = self.fixes.p_world_ant_m[row]
+        model = self._fix_noise(row, loss_width or self.config.gnss.loss_width)
         if not self.has_gnss_bias:
             return [gnss.position_factor(X(j), z, self.lever, model)]
         return gnss.biased_position_factors(X(j), A(j), L(0), C(j), z, model)
 
-    def _fix_noise(self, row: int) -> Any:
+    def _fix_noise(self, row: int, width: float) -> Any:
         """The noise model of a fix, built once for all rows of the same covariance."""
-        cov, c = self.cov_world_m2[row], self.config.gnss
-        known = self._fix_noises.get(key := cov.tobytes())
+        cov = self.cov_world_m2[row]
+        known = self._fix_noises.get(key := (cov.tobytes(), width))
         if known is None and self.has_gnss_bias:
             known = gtsam.noiseModel.Diagonal.Variances(np.diagonal(cov))
         elif known is None:
-            known = noise.robust(noise.gaussian(cov), c.loss, c.loss_width)
+            loss = self.config.gnss.loss if np.isfinite(width) else "none"
+            known = noise.robust(noise.gaussian(cov), loss, width)
         self._fix_noises = {key: known}
         return known
 

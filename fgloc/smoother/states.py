@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.measurements import Array
 from fgloc.smoother.guess import Guess
@@ -31,6 +32,15 @@ class States:
         n = len(guess.p_world_m)
         return cls(guess.R_world_veh, guess.p_world_m, guess.v_world_mps, np.zeros((n, 6)),
                    np.zeros((n, 3)))  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """What is done about fixes that do not fit: `gated` (fixes,) are left out, and the loss begins
+    at a whitened error of `loss_width`; infinity is plain least squares."""
+
+    gated: NDArray[np.bool_]
+    loss_width: float
 
 
 class StateLog:
