@@ -18,7 +18,7 @@ from fgloc.errors import SolverError
 from fgloc.factors import gnss, imu, noise
 from fgloc.frames import exp_so3, log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
 from fgloc.measurements import Array
-from fgloc.smoother.band import Band, NotPositiveError
+from fgloc.smoother.band import Band, NotPositiveError, Vector
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import (
     LEVEL_SIGMA_RAD,
@@ -69,16 +69,15 @@ class Chain:
         self._whiten_fix = np.linalg.inv(np.linalg.cholesky(model.cov_of_fixes(self.fixed)))
 
     @cached_property
-    def damping(self) -> Array:
-        """One over the square of a large change: 1 rad, 1 m, 1 m/s, a bias's prior sigma (d,).
+    def damping(self) -> Vector:
+        """One over the square of a large change: 1 rad, 1 m, 1 m/s, a bias's prior sigma.
 
         Not in proportion to the curvature: keyframes are tied so stiffly to each other that this
         would hold back a turn of them all.
         """
-        scale = (
-            [1.0] * 9 + self.model.bias_sigmas.tolist() + [self.model.config.gnss.bias_sigma_m] * 3
-        )
-        return np.array(scale[: self.width]) ** -2
+        biases = [*self.model.bias_sigmas, *[self.model.config.gnss.bias_sigma_m] * 3]
+        scale = np.array([1.0] * 9 + biases)[: self.width]
+        return Vector(scale**-2, np.zeros(0))
 
     @property
     def factors(self) -> int:
@@ -110,8 +109,9 @@ class Chain:
             raise self._failure(int(self.fixed[np.nanargmax(far)]) * self.width)
         return result, cost, descent.iterations
 
-    def moved(self, states: States, step: Array) -> States:
-        """The states after a step (n, d) in their tangents; copies of a bias stay alike."""
+    def moved(self, states: States, back: Vector) -> States:
+        """The states after a step back along a vector of their tangents; copies stay alike."""
+        step = -back.blocks
         first = np.searchsorted(self.bias_of, self.bias_of)
         return States(
             states.R @ exp_so3(step[:, :3]),
@@ -145,7 +145,7 @@ class Chain:
                 cost += value
                 portion.add(term.blocks, term.at, J.swapaxes(-1, -2) @ J, gradient)
             band.take(portion)
-        self._share_biases(band.gradient)
+        self._share_biases(band.gradient.blocks)
         return cost, band
 
     def _share_biases(self, gradient: Array) -> None:
@@ -160,7 +160,7 @@ class Chain:
         _, band = self.linearize(states, robust, "weights")
         keep = np.append(POSE, GNSS_BIAS) if self.width > 15 else POSE
         try:
-            cov = band.factor(0.0).inverse_blocks(self.n, keep)
+            cov = band.factor().inverse_blocks(keep)
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
         H = self._fix_residual(states).by_pose

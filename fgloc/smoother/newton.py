@@ -4,8 +4,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from fgloc.measurements import Array
-from fgloc.smoother.band import Band, NotPositiveError
+from fgloc.smoother.band import Band, NotPositiveError, Vector
 from fgloc.smoother.states import Robustness, States
 
 Curvature = Literal["newton", "weights"]
@@ -19,16 +18,16 @@ class Cost(Protocol):
     """What is minimised: see `Chain`."""
 
     @property
-    def damping(self) -> Array:
-        """What a damping of 1 adds to the curvature of each unknown of a block (d,)."""
+    def damping(self) -> Vector:
+        """What a damping of 1 adds to the curvature of each unknown of a block and the border."""
 
     def linearize(
         self, states: States, robust: Robustness, curvature: Curvature
     ) -> tuple[float, Band]:
         """The cost and its normal equations."""
 
-    def moved(self, states: States, step: Array) -> States:
-        """The states after a step."""
+    def moved(self, states: States, step: Vector) -> States:
+        """The states after a step back along a vector."""
 
 
 class Descent:
@@ -51,7 +50,7 @@ class Descent:
         while True:
             self.iterations += 1
             step, promise, damping = self._step(states, band, curvature, damping)
-            trial = self.cost.moved(states, -step)
+            trial = self.cost.moved(states, step)
             done = promise <= max(tolerance, share * value) and damping < FIRST_DAMPING
             trial_value, trial_band = self.cost.linearize(trial, self.robust, "newton")
             climbs = not trial_value <= value
@@ -69,14 +68,16 @@ class Descent:
 
     def _step(
         self, states: States, band: Band, curvature: Curvature, damping: float
-    ) -> tuple[Array, float, float]:
+    ) -> tuple[Vector, float, float]:
         """A step up the gradient, the decrease that going down it promises, its damping."""
         while True:
             try:
-                step = band.factor(damping * self.cost.damping).solve(band.gradient)
-                return step, float((step * band.gradient).sum()) / 2, damping
+                blocks, border = self.cost.damping
+                added = Vector(damping * blocks, damping * border)
+                step = band.factor(added).solve(band.gradient)
+                return step, step.dot(band.gradient) / 2, damping
             except NotPositiveError:
                 damping = max(10 * damping, FIRST_DAMPING)
-                if damping > MAX_DAMPING or not np.isfinite(band.gradient).all():
+                if damping > MAX_DAMPING or not np.isfinite(band.gradient.blocks).all():
                     raise
                 _, band = self.cost.linearize(states, self.robust, curvature)
