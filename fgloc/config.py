@@ -64,6 +64,19 @@ class ImuConfig(Section):
     """Unknown turn rate in a gap: density of its white noise, rad/s per sqrt(Hz)."""
 
 
+class ClockConfig(Section):
+    """Stamps that are late, or early where negative: a measurement was true so much before."""
+
+    gnss_s: float = Field(default=0.0, ge=-60, le=60)
+    imu_s: float = Field(default=0.0, ge=-60, le=60)
+    wheel_s: float = Field(default=0.0, ge=-60, le=60)
+    estimate: Literal["none", "gnss", "imu"] = "none"
+    """Estimate, in a batch, how late the stamps of fixes or IMU are against the other's, as one
+    constant of the drive. The other's clock is that of the trajectory."""
+    sigma_s: float = Field(default=0.3, gt=0)
+    """How late they may be beforehand."""
+
+
 class SolverConfig(Section):
     """Settings of the solvers; a word alone, `--set solver=gtsam`, is that of the batch."""
 
@@ -98,6 +111,7 @@ class SmoothConfig(Section):
     """Kept with the results of simulated drives; the smoother itself draws nothing."""
     gnss: GnssConfig = GnssConfig()
     imu: ImuConfig = ImuConfig()
+    clock: ClockConfig = ClockConfig()
     solver: SolverConfig = SolverConfig()
 
 

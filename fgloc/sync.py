@@ -5,7 +5,8 @@ an aiding measurement is true, at either end of an IMU gap, and at least every
 `keyframe_interval_s`; between keyframes lie output epochs, which the IMU alone reaches.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,10 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
-from fgloc.measurements import Array, GnssFixes, ImuSamples
+from fgloc.measurements import Array, GnssFixes, ImuSamples, Table
 from fgloc.result import Event
 from fgloc.timing import Instants, elapsed_s, seconds_to_ns
 from fgloc.verdicts import SourceVerdicts, Verdict
+
+T = TypeVar("T", bound=Table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,15 +76,16 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
 
     Raises DriveError where there are no fixes, no IMU, or the two do not overlap in time.
     """
-    gnss = drive.gnss
+    gnss = on_time(drive.gnss, config.clock.gnss_s)
     verdicts = {
         name: SourceVerdicts.of(name, table, Verdict.UNUSED, f"no {name} factor in this method")
         for name, table in drive.tables.items()
     }
-    imu = _usable_samples(drive.imu, verdicts["imu"], drive.name)
+    read = on_time(drive.imu, config.clock.imu_s)
+    imu = _usable_samples(read, verdicts["imu"], drive.name)
     usable = _usable_fixes(gnss, imu, verdicts["gnss"], drive.name)
     first, last = gnss.t_ns[usable[0]], imu.t_ns[-1]
-    _judge_early(drive.imu, imu, first, verdicts["imu"])
+    _judge_early(read, imu, first, verdicts["imu"])
     gaps = _gaps(imu, first, config.imu.gap_s)
     keyframes = _merged(gnss.t_ns[usable], gaps.ravel(), [first, last])
     keyframes = _fill(keyframes, config.keyframe_interval_s)
@@ -94,6 +98,11 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
     steps = _steps(imu, drive.rig.T_veh_imu[:3, :3], t_ns)
     epochs = Epochs(t_ns, np.isin(t_ns, keyframes), in_gap, fix_row, *steps)
     return Plan(epochs, verdicts, _gap_events(gaps))
+
+
+def on_time(table: T, late_s: float) -> T:
+    """A table whose stamps are so much late, with the instants when its rows were true."""
+    return replace(table, t_ns=table.t_ns - seconds_to_ns(late_s)) if late_s else table
 
 
 def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> ImuSamples:

@@ -109,7 +109,8 @@ class Portion:
         d = self.gradient.blocks.shape[1]
         n, m = int(np.searchsorted(at, d)), len(at)
         rows, here, after = blocks - self.first, at[:n], at[n:]
-        self._add(rows, here, curvature[:, :n], gradient[:, :n], here, slice(n), m)
+        if n:
+            self._add(rows, here, curvature[:, :n], gradient[:, :n], here, slice(n), m)
         if n < m:
             _add(self.blocks, (rows, here, after), curvature[:, :n, n:m])
             part = slice(n, m)

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.errors import SolverError
+from fgloc.errors import ConfigError, SolverError
 from fgloc.factors import gnss, imu, noise
 from fgloc.measurements import Array
 from fgloc.result import Event
@@ -43,6 +43,9 @@ class Solver(Protocol):
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
 
+    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
+        """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
+
 
 @dataclass(eq=False)
 class BatchRun:
@@ -54,6 +57,8 @@ class BatchRun:
     cost: float
     yaw_sigma_rad: float
     events: tuple[Event, ...]
+    late_s: float
+    late_sigma_s: float | None
 
 
 def run_batch(model: Model) -> BatchRun:
@@ -88,7 +93,10 @@ def run_batch(model: Model) -> BatchRun:
     begin = model.epoch_of[0]
     sigma = yaw_sigma_rad(log.R[begin], log.cov[begin, :3, :3])
     factors = solver.factors - int(robust.gated.sum())
-    return BatchRun(log, factors, iterations, cost, sigma, _remarks(model, robust, gate_nis))
+    return BatchRun(
+        log, factors, iterations, cost, sigma, _remarks(model, robust, gate_nis), states.late_s,
+        solver.late_sigma_s(states, robust),
+    )  # fmt: skip
 
 
 def _settle(
@@ -130,6 +138,8 @@ def _solver(model: Model, prior: Guess, deltas: imu.ImuDeltas) -> Solver:
     """The chain, unless the configuration asks for GTSAM."""
     if model.config.solver.batch == "banded":
         return Chain(model, prior, deltas)
+    if model.config.clock.estimate != "none":
+        raise ConfigError("clock.estimate goes with solver.batch = banded, not with gtsam")
     from fgloc.smoother.graph import GraphModel
     from fgloc.smoother.whole import Whole
 
@@ -152,7 +162,11 @@ def _errors(model: Model, states: States, keys: NDArray[np.int64]) -> Array:
     """Predicted minus measured antenna positions (n, 3) of the fixes at some keyframes, ENU m."""
     z = model.fixes.p_world_ant_m[model.fix_of[keys]]
     p, R, bias = states.p[keys], states.R[keys], states.gnss_bias[keys]
-    return gnss.residual(p, R, z, model.lever, bias).error
+    told = gnss.residual(p, R, z, model.lever, bias)
+    if not states.late_s:
+        return told.error
+    rate = model.epochs.rate_radps[model.epoch_of[keys]] - states.bias[keys, 3:]
+    return gnss.late_residual(told, R, states.v[keys], rate, model.lever, states.late_s).error
 
 
 def _leave_one_out(

@@ -43,7 +43,8 @@ class Term(NamedTuple):
     """M factors of one kind: whitened errors (M, m) and Jacobians (M, m, q).
 
     blocks  (M,) the keyframe that each begins at
-    at      (q,) the unknowns it depends on, counted from that keyframe's first
+    at      the unknowns it depends on, counted from that keyframe's first; what the Jacobian has
+            beyond them is by the shared unknowns
     robust  whether the GNSS loss lies on it
     """
 
@@ -63,6 +64,7 @@ class Chain:
         self.model, self.deltas, self.n, self._prior = model, deltas, n, prior
         self.bias_of = model.bias_of[:n]
         self.width = 18 if model.has_gnss_bias else 15
+        self.shared = 0 if model.config.clock.estimate == "none" else 1
         self.fixed = np.flatnonzero(model.fix_of[:n] >= 0)
         self._prior_R = yaw_matrix(yaw_of(prior.R_world_veh[:1]))
         self._whiten_imu = np.linalg.inv(np.linalg.cholesky(deltas.cov))
@@ -77,14 +79,14 @@ class Chain:
         """
         biases = [*self.model.bias_sigmas, *[self.model.config.gnss.bias_sigma_m] * 3]
         scale = np.array([1.0] * 9 + biases)[: self.width]
-        return Vector(scale**-2, np.zeros(0))
+        return Vector(scale**-2, np.ones(self.shared))
 
     @property
     def factors(self) -> int:
         """How many measurements, steps and priors there are, a bias's copies not counted."""
         chains = 2 if self.width > 15 else 1
         steps = (self.n - 1) * chains + int(self.bias_of[-1])
-        return 3 + chains + steps + len(self.fixed)
+        return 3 + chains + steps + self.shared + len(self.fixed)
 
     def first(self, n: int) -> "Chain":
         """The same for the first n keyframes alone."""
@@ -119,6 +121,7 @@ class Chain:
             states.v + step[:, VELOCITY],
             states.bias + step[first][:, BIAS],
             states.gnss_bias + step[:, GNSS_BIAS] if self.width > 15 else states.gnss_bias,
+            states.late_s - float(back.border.sum()),
         )
 
     def linearize(
@@ -130,7 +133,7 @@ class Chain:
         near, or of reweighted least squares ("weights"), which never climbs far and is what
         covariances are taken from.
         """
-        cost, band = 0.0, Band(self.n, self.width)
+        cost, band = 0.0, Band(self.n, self.width, self.shared)
         for first in range(0, self.n, BLOCKS_AT_ONCE):
             portion = band.portion(first, first + BLOCKS_AT_ONCE)
             for term in self._terms(states, robust.gated, portion.first, portion.stop):
@@ -168,6 +171,13 @@ class Chain:
             H = np.concatenate([H, np.broadcast_to(np.eye(3), (len(H), 3, 3))], -1)
         return cov[:, :6, :6], H @ cov[self.fixed] @ H.swapaxes(-1, -2)
 
+    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
+        """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
+        if not self.shared:
+            return None
+        _, band = self.linearize(states, robust, "weights")
+        return float(np.sqrt(band.factor().cov_border[0, 0]))
+
     def _terms(
         self, states: States, gated: NDArray[np.bool_], first: int, stop: int
     ) -> Iterator[Term]:
@@ -192,6 +202,9 @@ class Chain:
         yield Term(first, POSE[:3], turn / tilt, right_jacobian_inverse_so3(turn) / tilt[:, None])
         yield Term(first, POSE[3:], (p - self.model.first_fix_m) / POSITION_SIGMA_M,
                    R / POSITION_SIGMA_M)  # fmt: skip
+        if self.shared:
+            weight = np.array([[1 / self.model.config.clock.sigma_s]])
+            yield Term(first, POSE[:0], states.late_s * weight, weight[None])
         for at, value, sigma in (
             (VELOCITY, states.v[:1], [SPEED_SIGMA_MPS] * 3),
             (BIAS, states.bias[:1], self.model.bias_sigmas),
@@ -235,12 +248,21 @@ class Chain:
 
     def _fixes(self, states: States, kept: NDArray[np.int64]) -> Term:
         """Those fixes, counted among the chain's own."""
-        told, W = self._fix_residual(states, kept), self._whiten_fix[kept]
-        J, at = W @ told.by_pose, POSE
+        told, W, keys = self._fix_residual(states, kept), self._whiten_fix[kept], self.fixed[kept]
+        parts, at, error = [told.by_pose], POSE, told.error
+        if self.shared:
+            rate = self.model.epochs.rate_radps[self.model.epoch_of[keys]] - states.bias[keys, 3:]
+            late = gnss.late_residual(
+                told, states.R[keys], states.v[keys], rate, self.model.lever, states.late_s
+            )
+            parts, error = [late.by_pose, late.by_velocity, late.by_gyro_bias], late.error
+            at = np.concatenate([POSE, VELOCITY, BIAS[3:]])
         if self.width > 15:
-            J, at = np.concatenate([J, W], -1), np.append(POSE, GNSS_BIAS)
-        error = _whitened(W, told.error)
-        return Term(self.fixed[kept], at, error, J, robust=not self.model.has_gnss_bias)
+            parts, at = [*parts, np.broadcast_to(np.eye(3), W.shape)], np.append(at, GNSS_BIAS)
+        if self.shared:
+            parts = [*parts, late.by_late]
+        J = W @ np.concatenate(parts, -1)
+        return Term(keys, at, _whitened(W, error), J, robust=not self.model.has_gnss_bias)
 
     def _fix_residual(
         self, states: States, rows: NDArray[np.int64] | slice = slice(None)
@@ -278,6 +300,8 @@ class Chain:
 
     def _failure(self, unknown: int) -> SolverError:
         """What to say where the normal equations cannot be solved."""
+        if unknown >= self.n * self.width:
+            return SolverError("the solver failed at the lateness of the fixes: nothing shows it")
         j, i = divmod(unknown, self.width)
         name = ("attitude", "position", "velocity", "accelerometer bias", "gyro bias",
                 "GNSS bias")[i // 3]  # fmt: skip

@@ -14,17 +14,20 @@ from fgloc.trajectory import Trajectory
 @dataclass(frozen=True, eq=False)
 class States:
     """Values of n keyframes: attitude (n, 3, 3), position in m and velocity in m/s (n, 3) of the
-    IMU's place, its bias (n, 6) in m/s^2 and rad/s, the GNSS bias (n, 3) in m."""
+    IMU's place, its bias (n, 6) in m/s^2 and rad/s, the GNSS bias (n, 3) in m; and how late the
+    fixes are stamped, in s."""
 
     R: Array
     p: Array
     v: Array
     bias: Array
     gnss_bias: Array
+    late_s: float = 0.0
 
     def first(self, n: int) -> "States":
         """Those of the first n keyframes."""
-        return States(*(column[:n] for column in vars(self).values()))
+        return States(self.R[:n], self.p[:n], self.v[:n], self.bias[:n], self.gnss_bias[:n],
+                      self.late_s)  # fmt: skip
 
     @classmethod
     def of(cls, guess: Guess) -> "States":

@@ -56,6 +56,10 @@ class Whole:
             both = np.stack([joint([X(j), C(j)]) for j in self.fixed.tolist()])
         return cov, H @ both @ H.swapaxes(-1, -2)
 
+    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
+        """None: GTSAM's graph does not estimate how late the fixes are."""
+        return None
+
     def _graph(self, robust: Robustness) -> gtsam.NonlinearFactorGraph:
         graph = as_graph(factor for group in self.groups for factor in group)
         for j in self.fixed[~robust.gated].tolist():
