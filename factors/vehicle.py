@@ -1,0 +1,240 @@
+"""What is known of a car's motion: wheels do not slide sideways, they count metres, it may stand.
+
+With r the arm from the IMU's place to the point of the vehicle that does not slide (the rear
+axle), the point's velocity along the vehicle's axes is
+    u = R' v + (w - b_gyro) x r,
+and a car that follows its own x axis has u = C [k s, 0, 0]: s is what the wheels say, k their
+scale, and C = Exp([0, pitch, yaw]) the mounting, a small turn from the vehicle's axes to those that
+the car really follows; the IMU is never mounted quite straight. The residuals are
+    non-holonomic  rows y and z of C' u
+    wheel          row x of C [k s, 0, 0] - u
+    standstill     v, and b_gyro - w with w the mean rate over a window.
+
+GTSAM for Python has no factor on R' v. But an `ImuFactor` between two states holds
+R_j' (v_i + R_i dv - v_j) in the frame of state j, and Exp(theta) between their attitudes, where dv
+and theta depend on a bias variable as the samples say. Made-up samples without gravity therefore
+say all of the above exactly, each in one native factor whose other rows have no weight:
+    Y(j)  the car's own axes: the attitude of X(j) turned by the mounting
+    W(j)  velocity of the point in the world; where there is no arm, V(j) itself
+    K(0)  scale and mounting, carried by a bias variable
+    Z(0)  the number zero: a velocity slot that must not say anything.
+Points instead (a body velocity w with X w - X 0 = V, by `ReferenceFrameFactorPoint3Pose3`) need
+five such variables a constraint, and a `BetweenFactorPose3` on the displacement since the last
+keyframe cannot say along what: the direction turns with the car's speed, which nobody measured.
+"""
+
+from functools import cache
+from typing import Any, NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fgloc.frames import exp_so3, right_jacobian_so3, skew
+from fgloc.measurements import Array
+
+MOUNTING_S = 1e-3
+"""The mounting is a bias of rad per this: what the same variable holds beside it, the scale, then
+moves a velocity of the mounting's factor by micrometres a second, and all pivots are alike."""
+INSTANT_S = 1e-6
+"""Length of made-up samples that must not let an accelerometer bias act."""
+TIE_RAD, TIE_M, TIE_MPS = 1e-5, 1e-2, 1e-4
+"""Slack of the auxiliary variables: far below what constrains them."""
+_ZERO = np.zeros(3)
+
+
+class BodyVelocity(NamedTuple):
+    """u (N, 3) in m/s along vehicle axes, and by pose (N, 3, 6), velocity (3), bias (6)."""
+
+    value: Array
+    by_pose: Array
+    by_velocity: Array
+    by_bias: Array
+
+
+class VehicleResidual(NamedTuple):
+    """error (N, m) in m/s; Jacobians (N, m, d) by pose 6, velocity 3, bias 6, mounting 2, scale 1."""
+
+    error: Array
+    by_pose: Array
+    by_velocity: Array
+    by_bias: Array
+    by_mounting: Array
+    by_scale: Array
+
+
+class StandstillResidual(NamedTuple):
+    """error (N, 6) in m/s and rad/s; Jacobians by velocity (6, 3) and by bias (6, 6)."""
+
+    error: Array
+    by_velocity: Array
+    by_bias: Array
+
+
+def body_velocity(
+    R_world_veh: Array, v_world_mps: Array, rate_radps: Array, bias: Array, arm_m: ArrayLike
+) -> BodyVelocity:
+    """Velocity of a point `arm_m` (3,) from the IMU's place, of states and rates (N, ...)."""
+    r, n = np.asarray(arm_m, float), len(v_world_mps)
+    back = R_world_veh.swapaxes(-1, -2)
+    along = np.einsum("nij,nj->ni", back, v_world_mps)
+    by_pose, by_bias = np.zeros((n, 3, 6)), np.zeros((n, 3, 6))
+    by_pose[:, :, :3] = skew(along)
+    by_bias[:, :, 3:] = skew(r)
+    return BodyVelocity(along + np.cross(rate_radps - bias[:, 3:], r), by_pose, back, by_bias)
+
+
+def non_holonomic(u: BodyVelocity, mounting_rad: ArrayLike) -> VehicleResidual:
+    """Velocity (N, 2) to the car's left and up, with the mounting (2,): pitch and yaw in rad."""
+    turn = np.array([0.0, *np.asarray(mounting_rad, float)])
+    back = exp_so3(turn).T
+    along = u.value @ back.T
+    by_mounting = (skew(along) @ right_jacobian_so3(turn))[:, 1:, 1:]
+    rows = (back @ part for part in u[1:])
+    return VehicleResidual(
+        along[:, 1:], *(part[:, 1:] for part in rows), by_mounting, np.zeros((len(along), 2, 1))
+    )
+
+
+def wheel(
+    u: BodyVelocity, mounting_rad: ArrayLike, scale: float, speed_mps: Array
+) -> VehicleResidual:
+    """Predicted speed from the wheels' (N,), times the scale, minus that of the state: (N, 1)."""
+    pitch, yaw = np.asarray(mounting_rad, float)
+    turn = np.array([0.0, pitch, yaw])
+    C = exp_so3(turn)
+    ahead = C[0, 0] * speed_mps
+    by_turn = (-C @ skew([1.0, 0.0, 0.0]) @ right_jacobian_so3(turn))[0, 1:]
+    error = scale * ahead - u.value[:, 0]
+    return VehicleResidual(
+        error[:, None], *(-part[:, :1] for part in u[1:]),
+        (scale * speed_mps)[:, None, None] * by_turn, ahead[:, None, None],
+    )  # fmt: skip
+
+
+def standstill(v_world_mps: Array, bias: Array, rate_radps: Array) -> StandstillResidual:
+    """Velocity, and gyro bias minus the mean rate (N, 3) of a car that stands."""
+    error = np.concatenate([v_world_mps, bias[:, 3:] - rate_radps], axis=-1)
+    by_velocity, by_bias = np.zeros((6, 3)), np.zeros((6, 6))
+    by_velocity[:3], by_bias[3:, 3:] = np.eye(3), np.eye(3)
+    return StandstillResidual(error, by_velocity, by_bias)
+
+
+def calibration(mounting_rad: ArrayLike, scale: float) -> gtsam.imuBias.ConstantBias:
+    """The value of K(0) that stands for a mounting (2,) and a scale."""
+    pitch, yaw = np.asarray(mounting_rad, float) / MOUNTING_S
+    return gtsam.imuBias.ConstantBias(np.array([1 - scale, 0, 0]), -np.array([0, pitch, yaw]))
+
+
+def read_calibration(value: gtsam.imuBias.ConstantBias) -> tuple[Array, float]:
+    """The mounting (2,) in rad and the scale that a value of K(0) stands for."""
+    return -MOUNTING_S * value.gyroscope()[1:], 1 - float(value.accelerometer()[0])
+
+
+def car_pose(pose: gtsam.Pose3, point_mps: Array, mounting_rad: ArrayLike) -> gtsam.Pose3:
+    """Where the ties of Y(j) want it, from X(j), W(j) and the mounting (2,)."""
+    turn = gtsam.Rot3(exp_so3(np.array([0.0, *np.asarray(mounting_rad, float)])))
+    return gtsam.Pose3(pose.rotation() * turn, pose.translation() + MOUNTING_S * point_mps)
+
+
+def calibration_prior(
+    key: int, mounting_sigma_rad: float, scale_sigma: float
+) -> gtsam.PriorFactorConstantBias:
+    """What is known beforehand: straight and true, to these standard deviations."""
+    unused, angle = 1e-3, mounting_sigma_rad / MOUNTING_S
+    sigmas = np.array([scale_sigma, unused, unused, unused, angle, angle])
+    model = gtsam.noiseModel.Diagonal.Sigmas(sigmas)
+    return gtsam.PriorFactorConstantBias(key, calibration(_ZERO[:2], 1.0), model)
+
+
+def zero_prior(key: int) -> gtsam.PriorFactorVector:
+    """Holds Z(0) at zero."""
+    return gtsam.PriorFactorVector(key, _ZERO, gtsam.noiseModel.Isotropic.Sigma(3, TIE_MPS / 10))
+
+
+def point_velocity_factor(
+    pose: int, velocity: int, car: int, point: int, bias: int, rate_radps: Array, arm_m: Array
+) -> gtsam.NonlinearFactor:
+    """Ties W(j) to v + R (w - b) x r: two samples of an instant, of which the second's force is
+    turned by the bias of the first and so brings in -b x r."""
+    second = np.asarray(arm_m, float) / INSTANT_S**2
+    first = np.cross(rate_radps, arm_m) / INSTANT_S - second
+    samples = _samples((first, _ZERO, INSTANT_S), (second, _ZERO, INSTANT_S))
+    return _factor((pose, velocity, car, point, bias), samples, _no_rows(velocity=TIE_MPS))
+
+
+def non_holonomic_factor(
+    pose: int, point: int, car: int, zero: int, calibration: int, sigmas_mps: tuple[float, float]
+) -> gtsam.NonlinearFactor:
+    """Ties Y(j) to the pose and the mounting, and is the native factor of `non_holonomic`."""
+    return _factor((pose, point, car, zero, calibration), _turned(), _car_model(sigmas_mps))
+
+
+def wheel_factor(
+    car: int, zero: int, pose: int, point: int, calibration: int, speed_mps: float,
+    model: gtsam.noiseModel.Base,
+) -> gtsam.NonlinearFactor:  # fmt: skip
+    """The native factor of `wheel`: a force of 1 along the car's axis for as long as it has metres
+    a second. `model` is that of `wheel_model`. In reverse a sample before turns it half about."""
+    half_turn = (_ZERO, np.array([0.0, 0.0, np.pi]) / INSTANT_S**2, INSTANT_S**2)
+    ahead = (np.array([1.0, 0.0, 0.0]), _ZERO, max(abs(speed_mps), INSTANT_S**2))
+    samples = _samples(half_turn, ahead) if speed_mps < 0 else _samples(ahead)
+    return _factor((car, zero, pose, point, calibration), samples, model)
+
+
+def wheel_model(sigma_mps: float) -> gtsam.noiseModel.Base:
+    """The noise of a wheel speed as `wheel_factor` takes it."""
+    return gtsam.noiseModel.Diagonal.Precisions(np.r_[np.zeros(6), 1 / sigma_mps**2, 0, 0])
+
+
+def standstill_factors(
+    velocity: int, bias: int, rate_radps: Array, velocity_sigma_mps: float, rate_sigma_radps: float
+) -> list[gtsam.NonlinearFactor]:
+    """The native factors of `standstill`."""
+    still = gtsam.noiseModel.Isotropic.Sigma(3, velocity_sigma_mps)
+    weight = np.repeat([0.0, rate_sigma_radps**-2], 3)
+    rate = gtsam.imuBias.ConstantBias(_ZERO, np.asarray(rate_radps, float))
+    return [
+        gtsam.PriorFactorVector(velocity, _ZERO, still),
+        gtsam.PriorFactorConstantBias(bias, rate, gtsam.noiseModel.Diagonal.Precisions(weight)),
+    ]
+
+
+@cache
+def _params() -> gtsam.PreintegrationParams:
+    params = gtsam.PreintegrationParams.MakeSharedU(0.0)
+    params.setImuFactorErrorMode(gtsam.ImuFactorErrorMode.ComponentWise)
+    return params
+
+
+def _samples(*samples: tuple[Array, Array, float]) -> gtsam.PreintegratedImuMeasurements:
+    """Made-up samples of force, rate and duration."""
+    pim = gtsam.PreintegratedImuMeasurements(_params())
+    for force, rate, dt_s in samples:
+        pim.integrateMeasurement(force, rate, dt_s)
+    return pim
+
+
+@cache
+def _turned() -> gtsam.PreintegratedImuMeasurements:
+    return _samples((_ZERO, _ZERO, MOUNTING_S))
+
+
+def _factor(
+    keys: tuple[int, ...], samples: gtsam.PreintegratedImuMeasurements, model: Any
+) -> gtsam.NonlinearFactor:
+    return gtsam.ImuFactor(*keys, samples).cloneWithNewNoiseModel(model)
+
+
+@cache
+def _no_rows(velocity: float) -> gtsam.noiseModel.Base:
+    """Weight on the three rows of the velocity alone."""
+    return gtsam.noiseModel.Diagonal.Precisions(np.repeat([0.0, 0.0, velocity**-2], 3))
+
+
+@cache
+def _car_model(sigmas_mps: tuple[float, float]) -> gtsam.noiseModel.Base:
+    """The ties of Y(j), and weight on the velocity to the left and up."""
+    left, up = (sigma**-2 if np.isfinite(sigma) else 0.0 for sigma in sigmas_mps)
+    tie = np.repeat([TIE_RAD**-2, TIE_M**-2], 3)
+    return gtsam.noiseModel.Diagonal.Precisions(np.r_[tie, 0, left, up])
