@@ -24,7 +24,7 @@ keyframe cannot say along what: the direction turns with the car's speed, which 
 """
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -53,7 +53,8 @@ class BodyVelocity(NamedTuple):
 
 
 class VehicleResidual(NamedTuple):
-    """error (N, m) in m/s; Jacobians (N, m, d) by pose 6, velocity 3, bias 6, mounting 2, scale 1."""
+    """error (N, m) in m/s; Jacobians (N, m, d), d = 6 of the pose, 3 of the velocity, 6 of the
+    bias, 2 of the mounting, 1 of the scale."""
 
     error: Array
     by_pose: Array
@@ -164,10 +165,13 @@ def point_velocity_factor(
 
 
 def non_holonomic_factor(
-    pose: int, point: int, car: int, zero: int, calibration: int, sigmas_mps: tuple[float, float]
+    pose: int, point: int, car: int, zero: int, calibration: int, model: gtsam.noiseModel.Base
 ) -> gtsam.NonlinearFactor:
-    """Ties Y(j) to the pose and the mounting, and is the native factor of `non_holonomic`."""
-    return _factor((pose, point, car, zero, calibration), _turned(), _car_model(sigmas_mps))
+    """Ties Y(j) to the pose and the mounting, and is the native factor of `non_holonomic`.
+
+    `model` is that of `car_model`, on which a robust loss may lie.
+    """
+    return _factor((pose, point, car, zero, calibration), _turned(), model)
 
 
 def wheel_factor(
@@ -182,20 +186,28 @@ def wheel_factor(
     return _factor((car, zero, pose, point, calibration), samples, model)
 
 
+def car_model(sigmas_mps: ArrayLike) -> gtsam.noiseModel.Base:
+    """The noise of `non_holonomic_factor`, to the left and up (2,); infinite sigmas leave the ties
+    of Y(j) alone."""
+    ties = np.repeat([TIE_RAD**-2, TIE_M**-2], 3)
+    slip = np.asarray(sigmas_mps, float) ** -2
+    return gtsam.noiseModel.Diagonal.Precisions(np.concatenate([ties, [0.0], slip]))
+
+
 def wheel_model(sigma_mps: float) -> gtsam.noiseModel.Base:
     """The noise of a wheel speed as `wheel_factor` takes it."""
     return gtsam.noiseModel.Diagonal.Precisions(np.r_[np.zeros(6), 1 / sigma_mps**2, 0, 0])
 
 
 def standstill_factors(
-    velocity: int, bias: int, rate_radps: Array, velocity_sigma_mps: float, rate_sigma_radps: float
-) -> list[gtsam.NonlinearFactor]:
-    """The native factors of `standstill`."""
-    still = gtsam.noiseModel.Isotropic.Sigma(3, velocity_sigma_mps)
+    velocity: int, bias: int, rate_radps: Array, model: gtsam.noiseModel.Base,
+    rate_sigma_radps: float,
+) -> list[gtsam.NonlinearFactor]:  # fmt: skip
+    """The native factors of `standstill`; `model` is the noise of the velocity."""
     weight = np.repeat([0.0, rate_sigma_radps**-2], 3)
     rate = gtsam.imuBias.ConstantBias(_ZERO, np.asarray(rate_radps, float))
     return [
-        gtsam.PriorFactorVector(velocity, _ZERO, still),
+        gtsam.PriorFactorVector(velocity, _ZERO, model),
         gtsam.PriorFactorConstantBias(bias, rate, gtsam.noiseModel.Diagonal.Precisions(weight)),
     ]
 
@@ -221,7 +233,9 @@ def _turned() -> gtsam.PreintegratedImuMeasurements:
 
 
 def _factor(
-    keys: tuple[int, ...], samples: gtsam.PreintegratedImuMeasurements, model: Any
+    keys: tuple[int, int, int, int, int],
+    samples: gtsam.PreintegratedImuMeasurements,
+    model: gtsam.noiseModel.Base,
 ) -> gtsam.NonlinearFactor:
     return gtsam.ImuFactor(*keys, samples).cloneWithNewNoiseModel(model)
 
@@ -230,11 +244,3 @@ def _factor(
 def _no_rows(velocity: float) -> gtsam.noiseModel.Base:
     """Weight on the three rows of the velocity alone."""
     return gtsam.noiseModel.Diagonal.Precisions(np.repeat([0.0, 0.0, velocity**-2], 3))
-
-
-@cache
-def _car_model(sigmas_mps: tuple[float, float]) -> gtsam.noiseModel.Base:
-    """The ties of Y(j), and weight on the velocity to the left and up."""
-    left, up = (sigma**-2 if np.isfinite(sigma) else 0.0 for sigma in sigmas_mps)
-    tie = np.repeat([TIE_RAD**-2, TIE_M**-2], 3)
-    return gtsam.noiseModel.Diagonal.Precisions(np.r_[tie, 0, left, up])

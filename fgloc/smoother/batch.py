@@ -77,6 +77,9 @@ def run_batch(model: Model) -> BatchRun:
         values, count = optimize(graph, values, model)
         iterations += count
     _judge(model, with_fix, gated, nis, weight)
+    R, _, v = states
+    bias = np.stack([values.atConstantBias(B(m)).vector() for m in model.bias_of])
+    model.car.judge(R, v, bias, model.car.calibration(values))
     log = _log(model, values, states, cov, intervals)
     begin = model.epoch_of[0]
     return BatchRun(
@@ -93,6 +96,8 @@ def _groups(model: Model, intervals: list[Interval | None], values: gtsam.Values
         interval = intervals[j]
         assert interval is not None
         groups.append(model.motion_factors(j, interval.pim))
+    for j, group in enumerate(groups):
+        group += model.car.factors(j)
     before: int | None = None
     for j in np.flatnonzero(model.fix_of >= 0).tolist():
         groups[j] += [*model.gnss_bias_factors(j, before), *model.fix_factors(j)]

@@ -4,7 +4,7 @@ Batch, incremental and fixed lag all build their graphs here. Keyframe j has a p
 velocity V(j), of the IMU's place along the vehicle's axes: GTSAM's own way with a lever arm to the
 IMU leaves out the tangential acceleration, which is 0.1 m/s^2 where a bend begins. Biases B(m) are
 shared by the keyframes of `bias_interval_s`; with a GNSS bias each fix adds an antenna point A(j)
-and a bias C(j), and L(0) is the lever arm.
+and a bias C(j), and L(0) is the lever arm; what the vehicle's constraints add is in `car`.
 """
 
 from dataclasses import dataclass
@@ -22,6 +22,7 @@ from fgloc.errors import DriveError
 from fgloc.factors import gnss, imu, noise
 from fgloc.frames import skew
 from fgloc.measurements import Array
+from fgloc.smoother.car import Car
 from fgloc.smoother.tree import Thresholds
 from fgloc.sync import Plan
 from fgloc.timing import elapsed_s
@@ -78,6 +79,7 @@ class Model:
         self.gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
         self.has_gnss_bias = config.gnss.bias_sigma_m > 0
+        self.car = Car(drive, plan, config, self.bias_of, self.noise)
         self._fix_noises: dict[bytes, Any] = {}
 
     def __len__(self) -> int:
@@ -141,7 +143,7 @@ class Model:
             gtsam.PriorFactorConstantBias(
                 B(self.bias_of[j]), gtsam.imuBias.ConstantBias(), diagonal(np.array(bias))
             ),
-            *self._lever_prior(),
+            *self._shared_priors(),
         ]
 
     def carried_prior_factors(self, j: int, state: State, cov: Array) -> Factors:
@@ -151,7 +153,7 @@ class Model:
             gtsam.PriorFactorPose3(X(j), state.pose, full(cov[:6, :6])),
             gtsam.PriorFactorVector(V(j), state.velocity, full(cov[6:9, 6:9])),
             gtsam.PriorFactorConstantBias(B(self.bias_of[j]), state.bias, full(cov[9:, 9:])),
-            *self._lever_prior(),
+            *self._shared_priors(),
         ]
 
     def motion_factors(self, j: int, pim: gtsam.PreintegratedImuMeasurements) -> Factors:
@@ -212,12 +214,19 @@ class Model:
         """Put in the variables that all keyframes share."""
         if self.has_gnss_bias:
             values.insert(L(0), self.lever)
+        self.car.insert_shared(values)
 
-    def _lever_prior(self) -> Factors:
+    @property
+    def shared_keys(self) -> list[int]:
+        """The variables that all keyframes share."""
+        return [L(0), *self.car.keys] if self.has_gnss_bias else self.car.keys
+
+    def _shared_priors(self) -> Factors:
         if not self.has_gnss_bias:
-            return []
+            return self.car.prior_factors()
         tight = gtsam.noiseModel.Isotropic.Sigma(3, LEVER_SIGMA_M)
-        return [gtsam.PriorFactorPoint3(L(0), self.lever, tight)]
+        lever = gtsam.PriorFactorPoint3(L(0), self.lever, tight)
+        return [lever, *self.car.prior_factors()]
 
 
 def read_state(values: gtsam.Values, j: int, bias: int) -> State:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, L, V, X
+from gtsam.symbol_shorthand import A, B, C, V, X
 
 from fgloc.factors import imu, noise
 from fgloc.measurements import Array
@@ -21,6 +21,7 @@ from fgloc.result import Event
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import guess, gyro_yaw
 from fgloc.smoother.model import YAW_SIGMA_RAD, Factors, Interval, Model, State, read_state
+from fgloc.smoother.online_car import OnlineCar, arrivals
 from fgloc.smoother.solve import (
     choose_yaw,
     explain_failure,
@@ -70,17 +71,21 @@ class Online:
         self._covs: dict[int, Array] = {}
         self._accepted: list[int] = []
         self._accepted_s = 0.0
+        self._car = OnlineCar(model)
         self._harvested = 0
 
     def run(self) -> None:
         """Feed every keyframe; raises SolverError where even a rebuilt window cannot be solved."""
-        arrivals = _arrivals(self.model)
-        for j in range(len(self.model)):
+        model = self.model
+        with_fix = np.flatnonzero(model.fix_of >= 0)
+        received = model.fixes.received_ns[model.fix_of[with_fix]]
+        arriving = arrivals(model.t_ns, with_fix, received)
+        for j in range(len(model)):
             try:
-                self._step(j, arrivals[j])
+                self._step(j, arriving[j])
             except np.linalg.LinAlgError as err:
-                raise singular(self.model, j) from err
-        self._finish(arrivals[-1])
+                raise singular(model, j) from err
+        self._finish(arriving[-1])
 
     @property
     def factors(self) -> int:
@@ -91,7 +96,7 @@ class Online:
         """Carry the state to keyframe j, take in what has arrived, write the epochs."""
         model, values = self.model, gtsam.Values()
         if j == 0:
-            state, predicted = self._initial_state(), np.eye(6)
+            state, predicted = self._initial_state(), np.eye(9)
             factors = self._first_prior()
             model.insert_shared(values)
         else:
@@ -102,10 +107,12 @@ class Online:
         self._states[j] = state
         new_bias = j == 0 or bool(model.bias_of[j] != model.bias_of[j - 1])
         model.insert(values, j, state, new_bias=new_bias)
-        more, far = self._take_in(j, fixes, values, state.pose, predicted)
+        factors += self._car.take_in(j, state, predicted, values, self._tree, aligned=self._aligned)
+        more, far = self._take_in(j, fixes, values, state.pose, predicted[:6, :6])
         self._harvest(j)
         self._update(j, [*factors, *more], values, EXTRA_UPDATES if far else 0)
         self._weigh(far)
+        self._car.read(j, self._tree)
         if not self._aligned and fixes:
             self._try_to_align(j)
         self._note_yaw(j)
@@ -250,6 +257,8 @@ class Online:
             self.model.motion_factors(k, self._intervals[k].pim) for k in range(first + 1, j + 1)
         ]
         before = None
+        for k in range(first, j + 1):
+            groups[k - first] += self._car.factors(k)
         for k in sorted(k for k in self._accepted if k >= first):
             groups[k - first] = [
                 *groups[k - first], *self.model.gnss_bias_factors(k, before),
@@ -279,13 +288,14 @@ class Online:
         if self.model.has_gnss_bias:
             keys = [k for k in self._accepted if k >= first]
             stamps |= {key(k): float(self.model.t_s[k]) for k in keys for key in (A, C)}
+        stamps |= self._car.stamps(first, j)
         return stamps | dict.fromkeys(self._alive(j), float(self.model.t_s[j]))
 
     def _alive(self, j: int) -> list[int]:
         """Variables that later factors will touch, whatever their age."""
-        keys = [B(int(self.model.bias_of[j]))]
+        keys = [B(int(self.model.bias_of[j])), *self.model.shared_keys]
         if self.model.has_gnss_bias:
-            keys += [L(0), *(C(k) for k in self._accepted[-1:])]
+            keys += [C(k) for k in self._accepted[-1:]]
         return keys
 
     def _read(self, j: int) -> None:
@@ -333,6 +343,7 @@ class Online:
         """Take in fixes that arrived after the last keyframe; read what is still to be read."""
         j, values = len(self.model) - 1, gtsam.Values()
         late, _ = self._take_in(j, fixes, values, self._states[j].pose, self._covs[j][:6, :6])
+        late += self._car.finish(self._tree, aligned=self._aligned)
         if late:
             try:
                 self._tree.update(late, values, self._stamps(j, j))
@@ -357,6 +368,7 @@ class Online:
         for store in kept:
             while store and (oldest := next(iter(store))) < keep:
                 del store[oldest]
+        self._car.forget(keep)
         while len(self._accepted) > 1 and self._accepted[0] < keep:
             del self._accepted[0]
 
@@ -392,29 +404,19 @@ class Online:
         self.events.append(Event(int(self.model.t_ns[j]), kind, text))
 
 
-def _arrivals(model: Model) -> list[list[int]]:
-    """For each keyframe, and the end, the keyframes whose fixes have come in since the last."""
-    keys = np.flatnonzero(model.fix_of >= 0)
-    received = model.fixes.received_ns[model.fix_of[keys]]
-    order = np.argsort(received, kind="stable")
-    step = np.maximum(np.searchsorted(model.t_ns, received), keys)
-    arrivals: list[list[int]] = [[] for _ in range(len(model) + 1)]
-    for i in order:
-        arrivals[step[i]].append(int(keys[i]))
-    return arrivals
-
-
 def _predict(
     pim: gtsam.PreintegratedImuMeasurements, state: State, cov: Array
 ) -> tuple[State, Array]:
-    """The state at the end of an interval, and the covariance (6, 6) of its pose."""
+    """The state at the end of an interval, and the covariance (9, 9) of its pose and velocity."""
     by_state, by_bias = np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
     nav = pim.predict(gtsam.NavState(state.pose, state.velocity), state.bias, by_state, by_bias)
-    J = np.empty((6, 15))
-    J[:, :6], J[:, 9:] = by_state[:6, :6], by_bias[:6]
     # GTSAM's navigation state has its velocity's tangent in the vehicle frame, ours in the world.
-    J[:, 6:9] = by_state[:6, 6:] @ state.pose.rotation().matrix().T
-    predicted = J @ cov @ J.T + pim.residualCovariance()[:6, :6]
+    to_world = np.eye(9)
+    to_world[6:, 6:] = nav.pose().rotation().matrix()
+    J = np.empty((9, 15))
+    J[:, :9], J[:, 9:] = by_state, by_bias
+    J[:, 6:9] = by_state[:, 6:] @ state.pose.rotation().matrix().T
+    predicted = to_world @ (J @ cov @ J.T + pim.residualCovariance()) @ to_world.T
     return State(nav.pose(), nav.velocity(), state.bias), predicted
 
 

@@ -87,7 +87,8 @@ def test_every_jacobian_equals_its_difference_quotient(kind, block):
 def test_the_native_constraint_has_the_error_of_the_numpy_residual(k):
     R, v, rate, bias = (column[k : k + 1] for column in states())
     ours = residual("non-holonomic", R, v, rate, bias).error[0]
-    factor = vehicle.non_holonomic_factor(X(0), W(0), Y(0), Z(0), K(0), (0.1, 0.2))
+    model = vehicle.car_model([0.1, 0.2])
+    factor = vehicle.non_holonomic_factor(X(0), W(0), Y(0), Z(0), K(0), model)
     native = factor.unwhitenedError(solved(k))
     np.testing.assert_allclose(native[7:], ours, atol=1e-6)
     cost = 0.5 * ((ours / [0.1, 0.2]) ** 2).sum()
@@ -113,9 +114,9 @@ def test_the_auxiliary_velocity_is_that_of_the_point(k):
 def test_the_native_standstill_has_the_error_of_the_numpy_residual():
     _, v, rate, bias = states()
     ours = vehicle.standstill(v, bias, rate)
-    sigmas = np.repeat([0.05, 1e-3], 3)
+    sigmas, model = np.repeat([0.05, 1e-3], 3), gtsam.noiseModel.Isotropic.Sigma(3, 0.05)
     for k in range(4):
-        factors = vehicle.standstill_factors(V(0), B(0), rate[k], 0.05, 1e-3)
+        factors = vehicle.standstill_factors(V(0), B(0), rate[k], model, 1e-3)
         native = sum(factor.error(solved(k)) for factor in factors)
         assert native == pytest.approx(0.5 * ((ours.error[k] / sigmas) ** 2).sum())
     moved = vehicle.standstill(v + [1, 2, 3], bias + np.arange(6), rate).error - ours.error
