@@ -14,7 +14,7 @@ GTSAM for Python has no factor on R' v. But an `ImuFactor` between two states ho
 R_j' (v_i + R_i dv - v_j) in the frame of state j, and Exp(theta) between their attitudes, where dv
 and theta depend on a bias variable as the samples say. Made-up samples without gravity therefore
 say all of the above exactly, each in one native factor whose other rows have no weight:
-    Y(j)  the car's own axes: the attitude of X(j) turned by the mounting
+    Y(j)  the car's own axes: the attitude of X(j) turned by C
     W(j)  velocity of the point in the world; where there is no arm, V(j) itself
     K(0)  scale and mounting, carried by a bias variable
     Z(0)  the number zero: a velocity slot that must not say anything.
@@ -40,7 +40,7 @@ INSTANT_S = 1e-6
 """Length of made-up samples that must not let an accelerometer bias act."""
 TIE_RAD, TIE_M, TIE_MPS = 1e-5, 1e-2, 1e-4
 """Slack of the auxiliary variables: far below what constrains them."""
-_ZERO = np.zeros(3)
+_ZERO, _AHEAD = np.zeros(3), np.array([1.0, 0.0, 0.0])
 
 
 class BodyVelocity(NamedTuple):
@@ -85,32 +85,34 @@ def body_velocity(
     return BodyVelocity(along + np.cross(rate_radps - bias[:, 3:], r), by_pose, back, by_bias)
 
 
-def non_holonomic(u: BodyVelocity, mounting_rad: ArrayLike) -> VehicleResidual:
-    """Velocity (N, 2) to the car's left and up, with the mounting (2,): pitch and yaw in rad."""
-    turn = np.array([0.0, *np.asarray(mounting_rad, float)])
-    back = exp_so3(turn).T
-    along = u.value @ back.T
+def non_holonomic(u: BodyVelocity, turn_rad: ArrayLike) -> VehicleResidual:
+    """Velocity (N, 2) to the car's left and up; the turn (N, 2), pitch and yaw in rad, is the
+    mounting, by which the Jacobians are, and what else is known of it."""
+    turn = _rotvec(turn_rad, len(u.value))
+    back = exp_so3(turn).swapaxes(-1, -2)
+    along = np.einsum("nij,nj->ni", back, u.value)
     by_mounting = (skew(along) @ right_jacobian_so3(turn))[:, 1:, 1:]
-    rows = (back @ part for part in u[1:])
-    return VehicleResidual(
-        along[:, 1:], *(part[:, 1:] for part in rows), by_mounting, np.zeros((len(along), 2, 1))
-    )
+    rows = (back @ part for part in (u.by_pose, u.by_velocity, u.by_bias))
+    by_pose, by_velocity, by_bias = (part[:, 1:] for part in rows)
+    by_scale = np.zeros((len(along), 2, 1))
+    return VehicleResidual(along[:, 1:], by_pose, by_velocity, by_bias, by_mounting, by_scale)
 
 
-def wheel(
-    u: BodyVelocity, mounting_rad: ArrayLike, scale: float, speed_mps: Array
-) -> VehicleResidual:
-    """Predicted speed from the wheels' (N,), times the scale, minus that of the state: (N, 1)."""
-    pitch, yaw = np.asarray(mounting_rad, float)
-    turn = np.array([0.0, pitch, yaw])
+def wheel(u: BodyVelocity, turn_rad: ArrayLike, scale: float, speed_mps: Array) -> VehicleResidual:
+    """Predicted speed from the wheels' (N,), times the scale, minus that of the state: (N, 1).
+
+    The turn (N, 2) is that of `non_holonomic`.
+    """
+    turn = _rotvec(turn_rad, len(u.value))
     C = exp_so3(turn)
-    ahead = C[0, 0] * speed_mps
-    by_turn = (-C @ skew([1.0, 0.0, 0.0]) @ right_jacobian_so3(turn))[0, 1:]
+    ahead = C[:, 0, 0] * speed_mps
+    by_turn = (-C @ skew(_AHEAD) @ right_jacobian_so3(turn))[:, :1, 1:]
     error = scale * ahead - u.value[:, 0]
+    by_pose, by_velocity, by_bias = (-part[:, :1] for part in (u.by_pose, u.by_velocity, u.by_bias))
+    by_mounting = (scale * speed_mps)[:, None, None] * by_turn
     return VehicleResidual(
-        error[:, None], *(-part[:, :1] for part in u[1:]),
-        (scale * speed_mps)[:, None, None] * by_turn, ahead[:, None, None],
-    )  # fmt: skip
+        error[:, None], by_pose, by_velocity, by_bias, by_mounting, ahead[:, None, None]
+    )
 
 
 def standstill(v_world_mps: Array, bias: Array, rate_radps: Array) -> StandstillResidual:
@@ -132,9 +134,9 @@ def read_calibration(value: gtsam.imuBias.ConstantBias) -> tuple[Array, float]:
     return -MOUNTING_S * value.gyroscope()[1:], 1 - float(value.accelerometer()[0])
 
 
-def car_pose(pose: gtsam.Pose3, point_mps: Array, mounting_rad: ArrayLike) -> gtsam.Pose3:
-    """Where the ties of Y(j) want it, from X(j), W(j) and the mounting (2,)."""
-    turn = gtsam.Rot3(exp_so3(np.array([0.0, *np.asarray(mounting_rad, float)])))
+def car_pose(pose: gtsam.Pose3, point_mps: Array, turn_rad: ArrayLike) -> gtsam.Pose3:
+    """Where the ties of Y(j) want it, from X(j), W(j) and the turn (2,)."""
+    turn = gtsam.Rot3(exp_so3(_rotvec(turn_rad, 1)[0]))
     return gtsam.Pose3(pose.rotation() * turn, pose.translation() + MOUNTING_S * point_mps)
 
 
@@ -165,13 +167,15 @@ def point_velocity_factor(
 
 
 def non_holonomic_factor(
-    pose: int, point: int, car: int, zero: int, calibration: int, model: gtsam.noiseModel.Base
-) -> gtsam.NonlinearFactor:
-    """Ties Y(j) to the pose and the mounting, and is the native factor of `non_holonomic`.
-
-    `model` is that of `car_model`, on which a robust loss may lie.
-    """
-    return _factor((pose, point, car, zero, calibration), _turned(), model)
+    pose: int, point: int, car: int, zero: int, calibration: int, pitch_rad: float,
+    model: gtsam.noiseModel.Base,
+) -> gtsam.NonlinearFactor:  # fmt: skip
+    """Ties Y(j) to the pose, and is the native factor of `non_holonomic`: the turn is the
+    mounting and the body's pitch. `model` is that of `car_model`, a robust loss may lie on it."""
+    rate = np.array([0.0, pitch_rad / MOUNTING_S, 0.0])
+    return _factor(
+        (pose, point, car, zero, calibration), _samples((_ZERO, rate, MOUNTING_S)), model
+    )
 
 
 def wheel_factor(
@@ -181,7 +185,7 @@ def wheel_factor(
     """The native factor of `wheel`: a force of 1 along the car's axis for as long as it has metres
     a second. `model` is that of `wheel_model`. In reverse a sample before turns it half about."""
     half_turn = (_ZERO, np.array([0.0, 0.0, np.pi]) / INSTANT_S**2, INSTANT_S**2)
-    ahead = (np.array([1.0, 0.0, 0.0]), _ZERO, max(abs(speed_mps), INSTANT_S**2))
+    ahead = (_AHEAD, _ZERO, max(abs(speed_mps), INSTANT_S**2))
     samples = _samples(half_turn, ahead) if speed_mps < 0 else _samples(ahead)
     return _factor((car, zero, pose, point, calibration), samples, model)
 
@@ -227,9 +231,11 @@ def _samples(*samples: tuple[Array, Array, float]) -> gtsam.PreintegratedImuMeas
     return pim
 
 
-@cache
-def _turned() -> gtsam.PreintegratedImuMeasurements:
-    return _samples((_ZERO, _ZERO, MOUNTING_S))
+def _rotvec(turn_rad: ArrayLike, n: int) -> Array:
+    """Pitch and yaw, (2,) or (n, 2), as rotation vectors (n, 3)."""
+    rotvec = np.zeros((n, 3))
+    rotvec[:, 1:] = turn_rad
+    return rotvec
 
 
 def _factor(

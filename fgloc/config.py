@@ -78,8 +78,16 @@ class VehicleConfig(Section):
     of them say little more."""
     p_veh_point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The point that does not slide, vehicle frame: its origin, which is the rear axle."""
-    lateral_sigma_mps: float = Field(default=0.1, gt=0)
-    vertical_sigma_mps: float = Field(default=0.1, gt=0)
+    point_sigma_m: float = Field(default=0.5, ge=0)
+    """How well its place along x is known: in a bend, tyres that yield seem to move it."""
+    lateral_sigma_mps: float = Field(default=0.05, gt=0)
+    """Of the speed sideways where the car goes straight: camber, ruts and wind."""
+    vertical_sigma_mps: float = Field(default=0.06, gt=0)
+    """Of the speed upwards, along the body's axes: it heaves by 0.04 m/s in town, alike for about a
+    second, so once a second that is worth a little more in white noise."""
+    pitch_rad_per_mps2: float = Field(default=0.005, ge=0)
+    """How far the body pitches on its springs for each m/s^2 of force along x, nose up: common cars
+    do by 2 to 4 degrees per g. 0 for a body that has no springs, as in simulation."""
     mounting_sigma_rad: float = Field(default=0.03, gt=0)
     """How straight the IMU's axes lie to the car's; the turn between them is estimated."""
     scale_sigma: float = Field(default=0.02, gt=0)

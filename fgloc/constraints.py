@@ -18,6 +18,8 @@ NON_HOLONOMIC, STANDSTILL = "non-holonomic", "standstill"
 """The names under which constraints are counted: nobody measured them, but they have verdicts."""
 MIN_SAMPLES = 10
 """Fewer IMU samples in a window tell nothing of how it shakes."""
+PITCH_WINDOW_S = 0.5
+"""A body follows the force along x about as fast as this, and the road's shaking averages out."""
 FIX_SPAN_S, CRUISE_MPS, CRUISE_SIGMAS = 2.0, 1.0, 3.0
 """On a road like glass nothing shakes: a car that the fixes of this span see moving at more than
 this, and so many of its sigmas, does not stand."""
@@ -31,12 +33,14 @@ class Constraints:
     wheel_row   (K,) row of the wheel speed true at the epoch, -1 where there is none
     stands      (K,) bool: the car does not move
     rate_radps  (K, 3) mean angular rate of the window before, vehicle axes
+    ahead_mps2  (K,) mean specific force along x of the last `PITCH_WINDOW_S`
     """
 
     in_force: NDArray[np.bool_]
     wheel_row: NDArray[np.int64]
     stands: NDArray[np.bool_]
     rate_radps: Array
+    ahead_mps2: Array
 
 
 def chosen_wheel_rows(
@@ -85,7 +89,9 @@ def constraints(
             still and not _moves(int(t), wheel, drive.gnss, config)
             for still, t in zip(quiet, t_ns[chosen], strict=True)
         ]
-    return Constraints(in_force, row, stands, rate)
+    mean, _ = _moments(imu, t_ns, PITCH_WINDOW_S)
+    ahead = mean @ np.append(drive.rig.T_veh_imu[0, :3], np.zeros(3))
+    return Constraints(in_force, row, stands, rate, ahead)
 
 
 def wheel_of(drive: Drive) -> WheelSpeeds | None:
@@ -112,19 +118,30 @@ def _firsts(groups: NDArray[np.int64]) -> NDArray[np.int64]:
 def _quiet(
     imu: ImuSamples, t_ns: Instants, config: VehicleConfig
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Whether the IMU is quiet in the window before each instant, and its mean rate (n, 3) there."""
-    values = np.hstack([imu.accel_mps2, imu.gyro_radps])
-    centred = values - values.mean(0)  # squares of what is small keep their digits
-    sums = np.cumsum(np.vstack([np.zeros(12), np.hstack([centred, centred**2])]), axis=0)
-    window_ns = seconds_to_ns(config.still_window_s)
-    low, high = (np.searchsorted(imu.t_ns, t, side="right") for t in (t_ns - window_ns, t_ns))
-    count = np.maximum(high - low, 1)[:, None]
-    mean = (sums[high] - sums[low]) / count
-    variance = np.maximum(mean[:, 6:] - mean[:, :6] ** 2, 0)
+    """Whether the IMU is quiet in the window before each instant, and its mean rate (n, 3)."""
+    mean, variance = _moments(imu, t_ns, config.still_window_s)
     accel, gyro = (np.sqrt(part.sum(-1)) for part in (variance[:, :3], variance[:, 3:]))
     still = (accel < config.still_accel_mps2) & (gyro < config.still_gyro_radps)
-    full = (high - low >= MIN_SAMPLES) & (imu.t_ns[0] <= t_ns - window_ns)
-    return still & full, mean[:, 3:6] + values[:, 3:].mean(0)
+    return still, mean[:, 3:]
+
+
+def _moments(imu: ImuSamples, t_ns: Instants, window_s: float) -> tuple[Array, Array]:
+    """Mean and variance (n, 6) of force and rate, IMU axes, in the window before each instant.
+
+    A window with few samples takes the ones before it as well; its variance is then infinite.
+    """
+    values = np.hstack([imu.accel_mps2, imu.gyro_radps])
+    middle = values.mean(0)  # squares of what is small keep their digits
+    moments = np.hstack([values - middle, (values - middle) ** 2])
+    sums = np.cumsum(np.vstack([np.zeros(12), moments]), axis=0)
+    high = np.searchsorted(imu.t_ns, t_ns, side="right")
+    low = np.searchsorted(imu.t_ns, t_ns - seconds_to_ns(window_s), side="right")
+    few = (high - low < MIN_SAMPLES) | (imu.t_ns[0] > t_ns - seconds_to_ns(window_s))
+    low = np.where(few, np.maximum(high - MIN_SAMPLES, 0), low)
+    mean = (sums[high] - sums[low]) / np.maximum(high - low, 1)[:, None]
+    variance = np.maximum(mean[:, 6:] - mean[:, :6] ** 2, 0)
+    variance[few] = np.inf
+    return mean[:, :6] + middle, variance
 
 
 def _moves(t_ns: int, wheel: WheelSpeeds | None, gnss: GnssFixes, config: VehicleConfig) -> bool:

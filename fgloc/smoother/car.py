@@ -45,10 +45,8 @@ class Car:
         self.has_arm = bool(self.arm.any())
         white = imu_noise.gyro_noise_radps_per_sqrt_hz / np.sqrt(self.config.still_window_s)
         self.still_rate_sigma = float(np.hypot(white, self.config.still_rate_radps))
-        c = self.config
-        self.slip_sigmas = np.array([c.lateral_sigma_mps, c.vertical_sigma_mps])
-        slip = self.slip_sigmas if c.non_holonomic else np.full(2, np.inf)
-        self._slip_model = noise.robust(vehicle.car_model(slip), "huber", SLIP_WIDTH)
+        self.slip_sigmas_mps = self._slip_sigmas()
+        self.pitch_rad = self.config.pitch_rad_per_mps2 * held.ahead_mps2[at]
         still = gtsam.noiseModel.Isotropic.Sigma(3, self.config.still_speed_mps)
         self._still_model = noise.robust(still, "huber", STILL_WIDTH)
 
@@ -84,15 +82,17 @@ class Car:
         have them; without one, the IMU is taken to be mounted straight."""
         rate = self.rate_radps[j] - bias.gyroscope()
         point = velocity + pose.rotation().matrix() @ np.cross(rate, self.arm)
-        mounting, _ = vehicle.read_calibration(calibration or gtsam.imuBias.ConstantBias())
-        values.insert(Y(j), vehicle.car_pose(pose, point, mounting))
+        turn, _ = self._turn(calibration or gtsam.imuBias.ConstantBias())
+        values.insert(Y(j), vehicle.car_pose(pose, point, turn[j]))
         if self.has_arm:
             values.insert(W(j), point)
 
     def axis_factors(self, j: int) -> Factors:
         """The axes that the car follows at keyframe j, and that it follows them if asked."""
+        model = vehicle.car_model(self.slip_sigmas_mps[j])
+        model = noise.robust(model, "huber", SLIP_WIDTH)
         slip = vehicle.non_holonomic_factor(
-            X(j), self._point(j), Y(j), Z(0), K(0), self._slip_model
+            X(j), self._point(j), Y(j), Z(0), K(0), float(self.pitch_rad[j]), model
         )
         if not self.has_arm:
             return [slip]
@@ -132,8 +132,8 @@ class Car:
         pose and velocity, and note its verdict; the wheels' scale counts as known beforehand."""
         speed, sigma = self._speed(j)
         u = vehicle.body_velocity(R[None], v[None], self.rate_radps[[j]], bias[None], self.arm)
-        mounting, scale = vehicle.read_calibration(calibration)
-        told = vehicle.wheel(u, mounting, scale, np.array([speed]))
+        turn, scale = self._turn(calibration)
+        told = vehicle.wheel(u, turn[j], scale, np.array([speed]))
         H = np.concatenate([told.by_pose[0], told.by_velocity[0]], axis=1)
         spread = sigma**2 + (self.config.scale_sigma * speed) ** 2
         nis = float(noise.nis(told.error[0], H @ cov @ H.T + spread))
@@ -158,17 +158,17 @@ class Car:
     ) -> None:
         """Verdicts of a graph that was solved at once: what the losses weigh down, and the rest."""
         u = vehicle.body_velocity(R, v, self.rate_radps, bias, self.arm)
-        mounting, scale = vehicle.read_calibration(calibration)
+        turn, scale = self._turn(calibration)
         if self.config.non_holonomic:
             at = np.flatnonzero(self.in_force)
-            slip = vehicle.non_holonomic(u, mounting).error[at] / self.slip_sigmas
+            slip = vehicle.non_holonomic(u, turn).error[at] / self.slip_sigmas_mps[at]
             self._weigh(NON_HOLONOMIC, self.slip_row[at], slip, SLIP_WIDTH)
         if self.wheels is not None:
             at = np.flatnonzero(self.wheel_row >= 0)
             rows = self.wheel_row[at]
             speed, sigma = np.zeros(len(R)), self.wheels.sigma_mps[rows]
             speed[at] = self.wheels.speed_mps[rows]
-            miss = vehicle.wheel(u, mounting, scale, speed).error[at] / sigma[:, None]
+            miss = vehicle.wheel(u, turn, scale, speed).error[at] / sigma[:, None]
             self._weigh("wheel", rows, miss, WHEEL_WIDTH)
         if self.stands.any():
             at = np.flatnonzero(self.stands)
@@ -181,6 +181,18 @@ class Car:
         verdicts.set(rows, Verdict.USED)
         for row, w in zip(rows[weight < 1], weight[weight < 1], strict=True):
             verdicts.set(row, Verdict.DOWN_WEIGHTED, f"huber weight {w:.3g}")
+
+    def _slip_sigmas(self) -> Array:
+        """Standard deviations (n, 2) of the speed to the left and up; none where not asked for."""
+        c, sideways = self.config, np.abs(self.rate_radps[:, 2])
+        lateral = np.hypot(c.lateral_sigma_mps, c.point_sigma_m * sideways)
+        sigmas = np.stack([lateral, np.full(len(lateral), c.vertical_sigma_mps)], -1)
+        return sigmas if c.non_holonomic else np.full_like(sigmas, np.inf)
+
+    def _turn(self, calibration: gtsam.imuBias.ConstantBias) -> tuple[Array, float]:
+        """Turn (n, 2) from the vehicle's axes to the car's at each keyframe, and the scale."""
+        mounting, scale = vehicle.read_calibration(calibration)
+        return mounting + np.outer(self.pitch_rad, [1.0, 0.0]), scale
 
     def _speed(self, j: int) -> tuple[float, float]:
         assert self.wheels is not None

@@ -11,6 +11,7 @@ from fgloc.frames import exp_so3
 ARM = np.array([-0.5, 0.2, -0.4])
 MOUNTING = np.array([0.01, -0.03])
 SCALE = 1.02
+PITCH = 0.02
 SPEEDS = np.array([12.0, 0.4, 0.0, -3.0])
 
 
@@ -23,9 +24,10 @@ def states(n=4, seed=0):
 
 def residual(kind, R, v, rate, bias, mounting=MOUNTING, scale=SCALE, arm=ARM):
     u = vehicle.body_velocity(R, v, rate, bias, arm)
+    turn = mounting + [PITCH, 0]
     if kind == "wheel":
-        return vehicle.wheel(u, mounting, scale, SPEEDS)
-    return vehicle.non_holonomic(u, mounting)
+        return vehicle.wheel(u, turn, scale, SPEEDS)
+    return vehicle.non_holonomic(u, turn)
 
 
 def solved(k, arm=ARM):
@@ -36,7 +38,7 @@ def solved(k, arm=ARM):
     values.insert(X(0), gtsam.Pose3(gtsam.Rot3(R), p))
     values.insert(V(0), v)
     values.insert(B(0), gtsam.imuBias.ConstantBias(bias[:3], bias[3:]))
-    values.insert(Y(0), vehicle.car_pose(values.atPose3(X(0)), w, MOUNTING))
+    values.insert(Y(0), vehicle.car_pose(values.atPose3(X(0)), w, MOUNTING + [PITCH, 0]))
     values.insert(W(0), w)
     values.insert(K(0), vehicle.calibration(MOUNTING, SCALE))
     values.insert(Z(0), np.zeros(3))
@@ -88,7 +90,7 @@ def test_the_native_constraint_has_the_error_of_the_numpy_residual(k):
     R, v, rate, bias = (column[k : k + 1] for column in states())
     ours = residual("non-holonomic", R, v, rate, bias).error[0]
     model = vehicle.car_model([0.1, 0.2])
-    factor = vehicle.non_holonomic_factor(X(0), W(0), Y(0), Z(0), K(0), model)
+    factor = vehicle.non_holonomic_factor(X(0), W(0), Y(0), Z(0), K(0), PITCH, model)
     native = factor.unwhitenedError(solved(k))
     np.testing.assert_allclose(native[7:], ours, atol=1e-6)
     cost = 0.5 * ((ours / [0.1, 0.2]) ** 2).sum()
