@@ -1,8 +1,8 @@
 """The vehicle's part of the graph: constraints of a car's motion, and wheel speeds.
 
 A constraint at keyframe j adds the car's own axes Y(j) and, where its point is not the IMU's place,
-that point's velocity W(j); K(0) is the wheels' scale with the IMU's mounting and Z(0) a zero, shared
-by all: see `factors.vehicle`.
+that point's velocity W(j); all share K(0), the wheels' scale with the IMU's mounting, and Z(0), a
+zero: see `factors.vehicle`.
 """
 
 import gtsam

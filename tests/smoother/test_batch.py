@@ -152,7 +152,7 @@ def test_a_drive_that_begins_in_reverse_is_told_from_one_ahead(
 
 def test_the_answer_turns_with_the_vehicles_axes_and_is_otherwise_the_same(city, altered, run):
     drive = city(0, 40.0)
-    ahead, back = run(drive), run(altered.turned(drive, np.pi))
+    ahead, back = (run(altered.turned(drive, yaw_rad)) for yaw_rad in (0.0, np.pi))
     assert ahead.summary["cost"] == pytest.approx(back.summary["cost"], rel=1e-3)
 
 
