@@ -45,6 +45,7 @@ class Car:
         self.has_arm = bool(self.arm.any())
         white = imu_noise.gyro_noise_radps_per_sqrt_hz / np.sqrt(self.config.still_window_s)
         self.still_rate_sigma = float(np.hypot(white, self.config.still_rate_radps))
+        self.found = gtsam.imuBias.ConstantBias()  # scale and mounting as last estimated
         self.slip_sigmas_mps = self._slip_sigmas()
         self.pitch_rad = self.config.pitch_rad_per_mps2 * held.ahead_mps2[at]
         still = gtsam.noiseModel.Isotropic.Sigma(3, self.config.still_speed_mps)
@@ -124,6 +125,16 @@ class Car:
         """Scale and mounting as a solution has them."""
         return values.atConstantBias(K(0)) if self.keys else gtsam.imuBias.ConstantBias()
 
+    def summary(self) -> dict[str, float]:
+        """What was found of the wheels and of the mounting, where anything tells of them."""
+        if not self.keys:
+            return {}
+        mounting, scale = vehicle.read_calibration(self.found)
+        pitch_deg, yaw_deg = np.rad2deg(mounting).tolist()
+        told = {"mounting_pitch_deg": pitch_deg, "mounting_yaw_deg": yaw_deg}
+        told = told if self.config.non_holonomic else {}
+        return told | ({"wheel_scale": scale} if (self.wheel_row >= 0).any() else {})
+
     def wheel_fits(
         self, j: int, R: Array, v: Array, bias: Array, calibration: gtsam.imuBias.ConstantBias,
         cov: Array,
@@ -158,6 +169,7 @@ class Car:
     ) -> None:
         """Verdicts of a graph that was solved at once: what the losses weigh down, and the rest."""
         u = vehicle.body_velocity(R, v, self.rate_radps, bias, self.arm)
+        self.found = calibration
         turn, scale = self._turn(calibration)
         if self.config.non_holonomic:
             at = np.flatnonzero(self.in_force)

@@ -22,7 +22,6 @@ class OnlineCar:
 
     def __init__(self, model: Model) -> None:
         self.model, self.car = model, model.car
-        self.calibration = gtsam.imuBias.ConstantBias()
         keys = np.flatnonzero(self.car.wheel_row >= 0)
         received = np.empty(0, np.int64)
         if self.car.wheels is not None:
@@ -50,7 +49,7 @@ class OnlineCar:
             return factors
         if self.car.in_force[j]:
             self._enter(j)
-            self.car.insert(values, j, state.pose, state.velocity, state.bias, self.calibration)
+            self.car.insert(values, j, state.pose, state.velocity, state.bias, self.car.found)
             factors += self.car.axis_factors(j)
         for key in self._arriving[j]:
             if self._fits(key, j, state, cov, tree):
@@ -79,7 +78,7 @@ class OnlineCar:
     def read(self, j: int, tree: WholeTree) -> None:
         """Take the calibration out of the tree, where keyframe j has changed it."""
         if j in self._axes:
-            self.calibration = tree.bias(K(0))
+            self.car.found = tree.bias(K(0))
 
     def stamps(self, first: int, j: int) -> Stamps:
         """The time in s of the variables of keyframes first..j."""
@@ -115,7 +114,7 @@ class OnlineCar:
             keys = [X(key), V(key), B(int(model.bias_of[key]))]
             state, cov = State(*tree.estimate(*keys)), tree.covariance(keys)[:9, :9]
         pose, bias = state.pose.rotation().matrix(), state.bias.vector()
-        fits = self.car.wheel_fits(key, pose, state.velocity, bias, self.calibration, cov)
+        fits = self.car.wheel_fits(key, pose, state.velocity, bias, self.car.found, cov)
         waited = model.t_s[key] - self._accepted_s > model.config.gnss.gate_reset_s
         if not (fits or waited):
             return False
