@@ -20,6 +20,8 @@ MIN_SAMPLES = 10
 """Fewer IMU samples in a window tell nothing of how it shakes."""
 PITCH_WINDOW_S = 0.5
 """A body follows the force along x about as fast as this, and the road's shaking averages out."""
+TYRES_MPS2 = 10.0
+"""No tyre holds more, so no body pitches further."""
 FIX_SPAN_S, CRUISE_MPS, CRUISE_SIGMAS = 2.0, 1.0, 3.0
 """On a road like glass nothing shakes: a car that the fixes of this span see moving at more than
 this, and so many of its sigmas, does not stand."""
@@ -91,7 +93,7 @@ def constraints(
         ]
     mean, _ = _moments(imu, t_ns, PITCH_WINDOW_S)
     ahead = mean @ np.append(drive.rig.T_veh_imu[0, :3], np.zeros(3))
-    return Constraints(in_force, row, stands, rate, ahead)
+    return Constraints(in_force, row, stands, rate, np.clip(ahead, -TYRES_MPS2, TYRES_MPS2))
 
 
 def wheel_of(drive: Drive) -> WheelSpeeds | None:
@@ -131,7 +133,7 @@ def _moments(imu: ImuSamples, t_ns: Instants, window_s: float) -> tuple[Array, A
     A window with few samples takes the ones before it as well; its variance is then infinite.
     """
     values = np.hstack([imu.accel_mps2, imu.gyro_radps])
-    middle = values.mean(0)  # squares of what is small keep their digits
+    middle = values[0]  # squares of what is small keep their digits, and nothing looks ahead
     moments = np.hstack([values - middle, (values - middle) ** 2])
     sums = np.cumsum(np.vstack([np.zeros(12), moments]), axis=0)
     high = np.searchsorted(imu.t_ns, t_ns, side="right")

@@ -274,7 +274,14 @@ class Online:
         factors = [factor for group in groups for factor in group]
         solved, _ = optimize(as_graph(factors), values, self.model)
         self._tree = self._new_tree(kind)
-        self._tree.update(factors, solved, self._stamps(first, j))
+        try:
+            self._tree.update(factors, solved, self._stamps(first, j))
+        except RuntimeError as err:
+            if kind == "qr":
+                raise
+            self._event(j, "solver", f"{explain_failure(err, self.model)}; QR takes over")
+            self._tree = self._new_tree("qr")
+            self._tree.update(factors, solved, self._stamps(first, j))
         for k in range(first, j + 1):
             self._states[k] = read_state(solved, k, int(self.model.bias_of[k]))
         self._read(j)

@@ -73,11 +73,11 @@ def test_wheels_that_spin_are_gated(city, run):
 def test_wheel_speeds_that_come_late_enter_at_their_instant_or_not_at_all(city, run):
     drive = city(0, 40.0)
     wheel = drive.tables["wheel"]
-    for delay_s, verdict in ((1.5, "used"), (9.0, "late")):
+    for delay_s, verdict, least in ((1.5, "used", 40), (9.0, "late", 10)):
         received = wheel.received_ns + round(delay_s * 1e9)
         late = drive.with_tables(wheel=dataclasses.replace(wheel, received_ns=received))
         told = run(late, "fixed-lag").verdicts["wheel"].counts()
-        assert told[verdict] > 15
+        assert told[verdict] >= least
 
 
 def test_the_numpy_residuals_have_the_cost_of_the_native_factors(city):
