@@ -218,7 +218,7 @@ class Online:
             first, self._states[first], self._covs[first] * INFLATION
         )  # fmt: skip
         states = [self._states[k] for k in range(first, j + 1)]
-        values = window_values(self.model, first, states, self._accepted)
+        values = window_values(self.model, first, states, self._accepted, self._car.axes)
         try:
             self._regrow(first, j, self._window(first, j, prior), values, "qr")
         except RuntimeError as again:
@@ -241,6 +241,7 @@ class Online:
             return
         pose = gtsam.Pose3(gtsam.Rot3(start.R_world_veh[0]), start.p_world_m[0])
         base = State(pose, start.v_world_mps[0], gtsam.imuBias.ConstantBias())
+        self._car.admit(first, j)
         groups = self._window(first, j, model.prior_factors(first, base, YAW_SIGMA_RAD))
         start = choose_yaw(model, start, groups, self._accepted)
         values = first_values(model, start, j + 1 - first, self._accepted)

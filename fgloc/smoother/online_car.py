@@ -27,7 +27,7 @@ class OnlineCar:
         if self.car.wheels is not None:
             received = self.car.wheels.received_ns[self.car.wheel_row[keys]]
         self._arriving = arrivals(model.t_ns, keys, received)
-        self._axes: set[int] = set()
+        self.axes: set[int] = set()
         self._speeds: set[int] = set()
         self._still: set[int] = set()
         self._accepted_s = 0.0
@@ -64,20 +64,25 @@ class OnlineCar:
         return [factor for key in late for factor in self.car.wheel_factors(key)]
 
     def factors(self, k: int) -> Factors:
-        """What a graph over a window holds of keyframe k; its axes enter if they were not in."""
+        """What a graph over a window holds of keyframe k."""
         factors = self.car.still_factors(k) if k in self._still else []
-        if self.car.in_force[k]:
-            self._enter(k)
+        if k in self.axes:
             factors += self.car.axis_factors(k)
-        if k in self._speeds:
-            row = self.car.wheel_row[k]
-            self.car.verdicts["wheel"].set(row, Verdict.USED)
+        if k in self.axes and k in self._speeds:
             factors += self.car.wheel_factors(k)
         return factors
 
+    def admit(self, first: int, j: int) -> None:
+        """The yaw is known from keyframe `first` on: what has waited for it up to j may enter."""
+        for k in range(first, j + 1):
+            if self.car.in_force[k]:
+                self._enter(k)
+        for k in self._speeds & self.axes:
+            self.car.verdicts["wheel"].set(self.car.wheel_row[k], Verdict.USED)
+
     def read(self, j: int, tree: WholeTree) -> None:
         """Take the calibration out of the tree, where keyframe j has changed it."""
-        if j in self._axes:
+        if j in self.axes:
             self.car.found = tree.bias(K(0))
 
     def stamps(self, first: int, j: int) -> Stamps:
@@ -86,17 +91,17 @@ class OnlineCar:
         return {
             key: float(t_s[k])
             for k in range(first, j + 1)
-            if k in self._axes
+            if k in self.axes
             for key in self.car.keys_at(k)
         }
 
     def forget(self, before: int) -> None:
         """Drop what lies before a keyframe."""
-        for store in (self._axes, self._speeds, self._still):
+        for store in (self.axes, self._speeds, self._still):
             store -= {k for k in store if k < before}
 
     def _enter(self, k: int) -> None:
-        self._axes.add(k)
+        self.axes.add(k)
         if self.car.config.non_holonomic:
             row = self.car.slip_row[k]
             self.car.verdicts[NON_HOLONOMIC].set(row, Verdict.USED)
@@ -106,7 +111,7 @@ class OnlineCar:
     ) -> bool:
         """Whether a wheel speed is in time and passes the gate; like a fix's, it opens again."""
         model, now_s = self.model, float(self.model.t_s[min(j, len(self.model) - 1)])
-        if key != j and (key not in self._axes or not tree.holds(X(key))):
+        if key != j and (key not in self.axes or not tree.holds(X(key))):
             reason = f"{now_s - model.t_s[key]:.2f} s old; its state has left the window"
             self.car.verdicts["wheel"].set(self.car.wheel_row[key], Verdict.LATE, reason)
             return False

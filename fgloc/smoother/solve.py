@@ -162,13 +162,15 @@ def first_values(model: Model, guess: Guess, n: int, with_fix: Collection[int]) 
 
 
 def window_values(
-    model: Model, first: int, states: Sequence[State], with_fix: Collection[int]
-) -> gtsam.Values:
+    model: Model, first: int, states: Sequence[State], with_fix: Collection[int],
+    with_car: Collection[int] | None = None,
+) -> gtsam.Values:  # fmt: skip
     """GTSAM values of the keyframes from `first` on, with the variables that their fixes and the
     vehicle's constraints add.
 
     `with_fix` are the keyframes whose fix is in the graph: a variable without a factor, for a fix
-    that has yet to arrive, would be in the way when it does.
+    that has yet to arrive, would be in the way when it does. `with_car` are those whose constraint
+    is; by default all that there are.
     """
     values = gtsam.Values()
     model.insert_shared(values)
@@ -177,7 +179,7 @@ def window_values(
         model.insert(values, j, state, new_bias=new_bias)
         if j in with_fix:
             model.insert_fix(values, j, state.pose)
-        if model.car.in_force[j]:
+        if j in with_car if with_car is not None else model.car.in_force[j]:
             model.car.insert(values, j, state.pose, state.velocity, state.bias)
     return values
 
