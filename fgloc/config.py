@@ -76,7 +76,7 @@ class VehicleConfig(Section):
     interval_s: float = Field(default=1.0, gt=0)
     """One constraint, and one wheel speed, in so much time: their errors last for seconds, so more
     of them say little more."""
-    p_veh_point_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    p_veh_point_m: list[float] = Field(default=[0.0, 0.0, 0.0], min_length=3, max_length=3)
     """The point that does not slide, vehicle frame: its origin, which is the rear axle."""
     point_sigma_m: float = Field(default=0.5, ge=0)
     """How well its place along x is known: in a bend, tyres that yield seem to move it."""
