@@ -93,6 +93,7 @@ def _summary(model: Model, factors: int) -> dict[str, Any]:
         "states": len(model),
         "factors": factors,
         "counts": counts(model.plan.verdicts),
+        **({"vehicle": found} if (found := model.car.summary()) else {}),
         "origin": asdict(model.drive.origin),
     }
 

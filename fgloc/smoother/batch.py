@@ -88,6 +88,7 @@ def run_batch(model: Model) -> BatchRun:
         states, cost, count = solver.optimum(states, robust)
         iterations += count
     _judge(model, keys, robust, nis, gate_nis, weight)
+    model.car.judge(states.R, states.v, states.bias, states.calibration)
     log = _log(model, states, cov)
     fill(log, model, states.bias, deltas, inner)
     begin = model.epoch_of[0]
@@ -106,15 +107,17 @@ def _settle(
 
     From afar every fix is an outlier, and a loss has no curvature to steer by.
     """
-    robust = Robustness(np.zeros(len(keys), bool), np.inf)
-    has_loss = model.config.gnss.loss != "none" and not model.has_gnss_bias
-    states, cost, iterations = solver.optimum(states, robust, rough=has_loss)
-    if has_loss:
+    nothing = np.zeros(len(keys), bool)
+    states, cost, iterations = solver.optimum(
+        states, Robustness(nothing, np.inf, plain=True), rough=True
+    )
+    width = np.inf
+    if model.config.gnss.loss != "none" and not model.has_gnss_bias:
         norm = np.sqrt(noise.nis(_errors(model, states, keys), model.cov_of_fixes(keys)))
-        robust = replace(robust, loss_width=_widened(model.config.gnss.loss_width, norm))
-        states, cost, more = solver.optimum(states, robust)
-        iterations += more
-    return states, robust, cost, iterations
+        width = _widened(model.config.gnss.loss_width, norm)
+    robust = Robustness(nothing, width)
+    states, cost, more = solver.optimum(states, robust)
+    return states, robust, cost, iterations + more
 
 
 def _widened(threshold: float, values: Array) -> float:

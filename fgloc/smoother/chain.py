@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.errors import SolverError
-from fgloc.factors import gnss, imu, noise
+from fgloc.factors import gnss, imu, noise, vehicle
 from fgloc.frames import exp_so3, log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
 from fgloc.measurements import Array
 from fgloc.smoother.band import Band, NotPositiveError, Vector
+from fgloc.smoother.car import SLIP_WIDTH, STILL_WIDTH, WHEEL_WIDTH
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import (
     LEVEL_SIGMA_RAD,
@@ -32,7 +33,7 @@ from fgloc.smoother.states import Robustness, States
 from fgloc.timing import iso_utc
 
 POSE, VELOCITY, BIAS, GNSS_BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15), np.arange(15, 18)
-STATE = np.arange(9)
+STATE, FULL = np.arange(9), np.arange(15)
 COPY_SHARE = 1e-5
 """Of a bias step's variance, the part that the curvature gives to each copy within an interval."""
 BLOCKS_AT_ONCE = 1024
@@ -45,14 +46,15 @@ class Term(NamedTuple):
     blocks  (M,) the keyframe that each begins at
     at      the unknowns it depends on, counted from that keyframe's first; what the Jacobian has
             beyond them is by the shared unknowns
-    robust  whether the GNSS loss lies on it
+    loss    that lies on it, from a whitened error of `width` on
     """
 
     blocks: NDArray[np.int64]
     at: NDArray[np.int64]
     error: Array
     jacobian: Array
-    robust: bool = False
+    loss: noise.Loss = "none"
+    width: float = np.inf
 
 
 class Chain:
@@ -64,7 +66,9 @@ class Chain:
         self.model, self.deltas, self.n, self._prior = model, deltas, n, prior
         self.bias_of = model.bias_of[:n]
         self.width = 18 if model.has_gnss_bias else 15
-        self.shared = 0 if model.config.clock.estimate == "none" else 1
+        late = 0 if model.config.clock.estimate == "none" else 1
+        self._late, self._car = slice(0, late), slice(late, late + 3 * model.car.acts)
+        self.shared = self._car.stop
         self.fixed = np.flatnonzero(model.fix_of[:n] >= 0)
         self._prior_R = yaw_matrix(yaw_of(prior.R_world_veh[:1]))
         self._whiten_imu = np.linalg.inv(np.linalg.cholesky(deltas.cov))
@@ -79,14 +83,24 @@ class Chain:
         """
         biases = [*self.model.bias_sigmas, *[self.model.config.gnss.bias_sigma_m] * 3]
         scale = np.array([1.0] * 9 + biases)[: self.width]
-        return Vector(scale**-2, np.ones(self.shared))
+        v = self.model.config.vehicle
+        calibration = np.array([v.mounting_sigma_rad] * 2 + [v.scale_sigma])
+        border = np.ones(self.shared)
+        if self.model.car.acts:
+            border[self._car] = calibration**-2
+        return Vector(scale**-2, border)
 
     @property
     def factors(self) -> int:
         """How many measurements, steps and priors there are, a bias's copies not counted."""
         chains = 2 if self.width > 15 else 1
         steps = (self.n - 1) * chains + int(self.bias_of[-1])
-        return 3 + chains + steps + self.shared + len(self.fixed)
+        car = self.model.car
+        held = (car.wheel_row[: self.n] >= 0).sum() + 2 * car.stands[: self.n].sum()
+        if car.config.non_holonomic:
+            held += car.in_force[: self.n].sum()
+        shared = (self._late.stop > 0) + bool(car.acts)
+        return int(3 + chains + steps + shared + held) + len(self.fixed)
 
     def first(self, n: int) -> "Chain":
         """The same for the first n keyframes alone."""
@@ -115,13 +129,19 @@ class Chain:
         """The states after a step back along a vector of their tangents; copies stay alike."""
         step = -back.blocks
         first = np.searchsorted(self.bias_of, self.bias_of)
+        calibration = states.calibration
+        if self.model.car.acts:
+            calibration = calibration - back.border[self._car]
         return States(
             states.R @ exp_so3(step[:, :3]),
             states.p + np.einsum("nij,nj->ni", states.R, step[:, 3:6]),
             states.v + step[:, VELOCITY],
             states.bias + step[first][:, BIAS],
             states.gnss_bias + step[:, GNSS_BIAS] if self.width > 15 else states.gnss_bias,
-            states.late_s - float(back.border.sum()),
+            states.late_s - float(back.border[self._late].sum()),
+            states.calibration - back.border[self._car]
+            if self.model.car.acts
+            else states.calibration,
         )
 
     def linearize(
@@ -136,10 +156,10 @@ class Chain:
         cost, band = 0.0, Band(self.n, self.width, self.shared)
         for first in range(0, self.n, BLOCKS_AT_ONCE):
             portion = band.portion(first, first + BLOCKS_AT_ONCE)
-            for term in self._terms(states, robust.gated, portion.first, portion.stop):
+            for term in self._terms(states, robust, portion.first, portion.stop):
                 J, e = term.jacobian, term.error
-                if term.robust and np.isfinite(robust.loss_width):
-                    value, across, along = self._loss(e, robust.loss_width)
+                if term.loss != "none" and term.width < np.inf and not robust.plain:
+                    value, across, along = _loss(term)
                     gradient = np.matmul((e * across)[:, None], J)[:, 0]
                     J = _bent(J, e, across, along if curvature == "newton" else across)
                 else:
@@ -173,14 +193,12 @@ class Chain:
 
     def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
         """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
-        if not self.shared:
+        if not self._late.stop:
             return None
         _, band = self.linearize(states, robust, "weights")
         return float(np.sqrt(band.factor().cov_border[0, 0]))
 
-    def _terms(
-        self, states: States, gated: NDArray[np.bool_], first: int, stop: int
-    ) -> Iterator[Term]:
+    def _terms(self, states: States, robust: Robustness, first: int, stop: int) -> Iterator[Term]:
         """The factors that begin at keyframes first..stop - 1."""
         if first == 0:
             yield from self._priors(states)
@@ -189,9 +207,11 @@ class Chain:
             yield self._motion(states, intervals)
             yield from self._bias_steps(states, intervals)
         within = slice(*np.searchsorted(self.fixed, [first, stop]))
-        kept = np.arange(within.start, within.stop)[~gated[within]]
+        kept = np.arange(within.start, within.stop)[~robust.gated[within]]
         if len(kept):
-            yield self._fixes(states, kept)
+            yield self._fixes(states, kept, robust.loss_width)
+        if self.model.car.acts or self.model.car.stands.any():
+            yield from self._constraints(states, first, stop)
 
     def _priors(self, states: States) -> Iterator[Term]:
         """What is known of keyframe 0 before any measurement."""
@@ -202,9 +222,7 @@ class Chain:
         yield Term(first, POSE[:3], turn / tilt, right_jacobian_inverse_so3(turn) / tilt[:, None])
         yield Term(first, POSE[3:], (p - self.model.first_fix_m) / POSITION_SIGMA_M,
                    R / POSITION_SIGMA_M)  # fmt: skip
-        if self.shared:
-            weight = np.array([[1 / self.model.config.clock.sigma_s]])
-            yield Term(first, POSE[:0], states.late_s * weight, weight[None])
+        yield from self._shared_priors(states)
         for at, value, sigma in (
             (VELOCITY, states.v[:1], [SPEED_SIGMA_MPS] * 3),
             (BIAS, states.bias[:1], self.model.bias_sigmas),
@@ -212,6 +230,25 @@ class Chain:
         ):
             if at[-1] < self.width:
                 yield Term(first, at, value / sigma, np.diag(1 / np.array(sigma))[None])
+
+    def _shared_priors(self, states: States) -> Iterator[Term]:
+        """What is known of the unknowns of the whole drive before any measurement."""
+        v, nothing = self.model.config.vehicle, POSE[:0]
+        calibration = np.array([v.mounting_sigma_rad] * 2 + [v.scale_sigma])
+        late = np.array([self.model.config.clock.sigma_s])
+        for at, value, sigma in (
+            (self._late, np.array([states.late_s]), late),
+            (self._car, states.calibration - vehicle.STRAIGHT, calibration),
+        ):
+            if at.start < at.stop:
+                J = self._border(1, at, np.diag(1 / sigma)[None])
+                yield Term(np.array([0]), nothing, (value / sigma)[None], J)
+
+    def _border(self, n: int, at: slice, jacobian: Array) -> Array:
+        """Jacobians (n, m, q) by some of the shared unknowns among those by all of them."""
+        full = np.zeros((n, jacobian.shape[1], self.shared))
+        full[:, :, at] = jacobian
+        return full
 
     def _motion(self, states: States, rows: slice) -> Term:
         """The IMU between keyframes j and j + 1, for the j of a slice."""
@@ -246,23 +283,58 @@ class Chain:
         blocks = np.arange(rows.start, rows.stop)
         return Term(blocks, np.append(at, self.width + at), change / sigma, J)
 
-    def _fixes(self, states: States, kept: NDArray[np.int64]) -> Term:
+    def _fixes(self, states: States, kept: NDArray[np.int64], width: float) -> Term:
         """Those fixes, counted among the chain's own."""
         told, W, keys = self._fix_residual(states, kept), self._whiten_fix[kept], self.fixed[kept]
-        parts, at, error = [told.by_pose], POSE, told.error
-        if self.shared:
+        parts, at, error, border = [told.by_pose], POSE, told.error, []
+        if self._late.stop:
             rate = self.model.epochs.rate_radps[self.model.epoch_of[keys]] - states.bias[keys, 3:]
             late = gnss.late_residual(
                 told, states.R[keys], states.v[keys], rate, self.model.lever, states.late_s
             )
             parts, error = [late.by_pose, late.by_velocity, late.by_gyro_bias], late.error
             at = np.concatenate([POSE, VELOCITY, BIAS[3:]])
+            border = [self._border(len(keys), self._late, late.by_late)]
         if self.width > 15:
             parts, at = [*parts, np.broadcast_to(np.eye(3), W.shape)], np.append(at, GNSS_BIAS)
-        if self.shared:
-            parts = [*parts, late.by_late]
-        J = W @ np.concatenate(parts, -1)
-        return Term(keys, at, _whitened(W, error), J, robust=not self.model.has_gnss_bias)
+        J = W @ np.concatenate([*parts, *border], -1)
+        loss = "none" if self.model.has_gnss_bias else self.model.config.gnss.loss
+        return Term(keys, at, _whitened(W, error), J, loss, width)
+
+    def _constraints(self, states: States, first: int, stop: int) -> Iterator[Term]:
+        """What the vehicle's constraints say at keyframes first..stop - 1."""
+        car, within = self.model.car, slice(first, stop)
+        turn = car.turn(states.calibration)
+        if car.config.non_holonomic and len(at := first + np.flatnonzero(car.in_force[within])):
+            told = vehicle.non_holonomic(self._body_velocity(states, at), turn[at])
+            yield self._vehicle_term(at, told, car.slip_sigmas_mps[at], SLIP_WIDTH)
+        if len(at := first + np.flatnonzero(car.wheel_row[within] >= 0)):
+            speed, sigma = np.array([car.speed(j) for j in at.tolist()]).T
+            u = self._body_velocity(states, at)
+            told = vehicle.wheel(u, turn[at], float(states.calibration[2]), speed)
+            yield self._vehicle_term(at, told, sigma[:, None], WHEEL_WIDTH)
+        if len(at := first + np.flatnonzero(car.stands[within])):
+            rate = car.mean_rate_radps[at]
+            still = vehicle.standstill(states.v[at], states.bias[at], rate).error
+            eye = np.broadcast_to(np.eye(3), (len(at), 3, 3))
+            slow, quiet = car.config.still_speed_mps, car.still_rate_sigma
+            yield Term(at, VELOCITY, still[:, :3] / slow, eye / slow, "huber", STILL_WIDTH)
+            yield Term(at, BIAS[3:], still[:, 3:] / quiet, eye / quiet)
+
+    def _body_velocity(self, states: States, at: NDArray[np.int64]) -> vehicle.BodyVelocity:
+        car = self.model.car
+        return vehicle.body_velocity(
+            states.R[at], states.v[at], car.rate_radps[at], states.bias[at], car.arm
+        )
+
+    def _vehicle_term(
+        self, at: NDArray[np.int64], told: vehicle.VehicleResidual, sigma: Array, width: float
+    ) -> Term:
+        """A constraint with standard deviations (m, rows) under Huber's loss."""
+        by_calibration = np.concatenate([told.by_mounting, told.by_scale], -1)
+        border = self._border(len(at), self._car, by_calibration)
+        J = np.concatenate([told.by_pose, told.by_velocity, told.by_bias, border], -1)
+        return Term(at, FULL, told.error / sigma, J / sigma[..., None], "huber", width)
 
     def _fix_residual(
         self, states: States, rows: NDArray[np.int64] | slice = slice(None)
@@ -270,15 +342,6 @@ class Chain:
         at = self.fixed[rows]
         z = self.model.fixes.p_world_ant_m[self.model.fix_of[at]]
         return gnss.residual(states.p[at], states.R[at], z, self.model.lever, states.gnss_bias[at])
-
-    def _loss(self, error: Array, width: float) -> tuple[float, Array, Array]:
-        """Cost of whitened fixes, and the weights (M, 1) of their errors across and along them."""
-        loss = self.model.config.gnss.loss
-        norm = np.linalg.norm(error, axis=-1, keepdims=True)
-        cost, across, along = (
-            f(norm, loss, width) for f in (noise.cost, noise.weight, noise.curvature)
-        )
-        return float(cost.sum()), across, along
 
     @cached_property
     def _bias_sigmas(self) -> Array:
@@ -301,7 +364,9 @@ class Chain:
     def _failure(self, unknown: int) -> SolverError:
         """What to say where the normal equations cannot be solved."""
         if unknown >= self.n * self.width:
-            return SolverError("the solver failed at the lateness of the fixes: nothing shows it")
+            return SolverError(
+                "the solver failed at what the drive shares: a lateness or a calibration"
+            )
         j, i = divmod(unknown, self.width)
         name = ("attitude", "position", "velocity", "accelerometer bias", "gyro bias",
                 "GNSS bias")[i // 3]  # fmt: skip
@@ -311,6 +376,15 @@ class Chain:
             f"({iso_utc(t_ns)}): nothing that was measured holds it, or a measurement is out of "
             "all bounds"
         )
+
+
+def _loss(term: Term) -> tuple[float, Array, Array]:
+    """Cost of a term under its loss, and the weights (M, 1) of its errors across and along them."""
+    norm = np.linalg.norm(term.error, axis=-1, keepdims=True)
+    cost, across, along = (
+        f(norm, term.loss, term.width) for f in (noise.cost, noise.weight, noise.curvature)
+    )
+    return float(cost.sum()), across, along
 
 
 def _whitened(W: Array, error: Array) -> Array:

@@ -68,6 +68,7 @@ class Whole:
         return graph
 
     def _values(self, states: States) -> gtsam.Values:
+        self.model.car.found = states.calibration
         poses = (gtsam.Pose3(gtsam.Rot3(R), p) for R, p in zip(states.R, states.p, strict=True))
         plain = [
             State(pose, v, gtsam.imuBias.ConstantBias(b[:3], b[3:]))
@@ -89,6 +90,7 @@ class Whole:
             np.stack([pose.rotation().matrix() for pose in poses]),
             np.stack([pose.translation() for pose in poses]),
             np.stack([values.atVector(V(j)) for j in range(self.n)]), np.stack(biases), gnss_bias,
+            calibration=self.model.car.calibration(values),
         )  # fmt: skip
 
 
@@ -98,6 +100,8 @@ def _groups(model: GraphModel, prior: Guess) -> list[Factors]:
     state = State(pose, prior.v_world_mps[0], gtsam.imuBias.ConstantBias())
     groups = [model.prior_factors(0, state, YAW_SIGMA_RAD)]
     groups += [model.motion_factors(j, model.interval(j).pim) for j in range(1, len(model))]
+    for j, group in enumerate(groups):
+        group += model.car.factors(j)
     before: int | None = None
     for j in np.flatnonzero(model.fix_of >= 0).tolist():
         groups[j] += model.gnss_bias_factors(j, before)

@@ -46,7 +46,7 @@ def assert_same_optimum(drive, gated=(), **settings):
     settings = {"solver": {"cost_tolerance": 1e-7}, **settings}
     _, start, chain, whole = solvers(drive, **settings)
     robust = robustness(chain, np.isin(np.arange(len(chain.fixed)), gated))
-    near, _, _ = chain.optimum(States.of(start), replace(robust, loss_width=np.inf), rough=True)
+    near, _, _ = chain.optimum(States.of(start), replace(robust, plain=True), rough=True)
     ours, cost, _ = chain.optimum(near, robust)
     # GTSAM's steps are damped and its robust tail is long: it starts where we ended.
     theirs, its_cost, _ = whole.optimum(ours, robust)
@@ -89,11 +89,17 @@ def test_with_a_bias_of_gnss(city):
     assert_same_optimum(degrade(city(0, 30.0), keep_every=5), gnss={"bias_sigma_m": 2.0})
 
 
+@pytest.mark.parametrize("asked", ["non_holonomic", "zero_velocity", "wheel_speed"])
+def test_with_each_constraint_of_the_vehicle(city, altered, asked):
+    drive = altered.reversing(10.0, 20.0) if asked == "zero_velocity" else city(1, 30.0)
+    assert_same_optimum(drive, vehicle={"wheel_speed": False, asked: True})
+
+
 def test_the_cost_anywhere_is_that_of_the_graph(city):
     """Not only at the optimum: attitudes, speeds and biases off by what a bad guess is off by."""
     _, start, chain, whole = solvers(city(0, 10.0), gnss={"loss": "none"})
     rng, robust = np.random.default_rng(0), robustness(chain)
-    step = Vector(0.1 * rng.normal(size=(chain.n, 15)), np.zeros(0))
+    step = Vector(0.1 * rng.normal(size=(chain.n, 15)), np.zeros(chain.shared))
     states = chain.moved(States.of(start), step)
     graph, values = whole._graph(robust), whole._values(states)
     assert chain.linearize(states, robust, "newton")[0] == pytest.approx(graph.error(values))
@@ -101,11 +107,11 @@ def test_the_cost_anywhere_is_that_of_the_graph(city):
 
 def test_a_step_lowers_the_cost_by_what_it_promises(city):
     _, start, chain, _ = solvers(city(0, 10.0))
-    robust = replace(robustness(chain), loss_width=np.inf)
+    robust = replace(robustness(chain), plain=True)
     states, cost, _ = chain.optimum(States.of(start), robust)
     rng = np.random.default_rng(1)
     tangent = 1e-5 * rng.normal(size=(chain.n, 15)) * np.repeat([1, 1e-2], [9, 6])
-    away = chain.moved(states, Vector(tangent, np.zeros(0)))
+    away = chain.moved(states, Vector(tangent, np.zeros(chain.shared)))
     value, band = chain.linearize(away, robust, "newton")
     promise = band.factor().solve(band.gradient).dot(band.gradient) / 2
     assert value - cost == pytest.approx(promise, rel=1e-2)

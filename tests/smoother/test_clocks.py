@@ -17,6 +17,12 @@ def late(drive, table, by_s):
     return drive.with_tables(**{table: replace(rows, **columns)})
 
 
+def allowed_m(drive, run, rmse_m, told):
+    """What the drive gives on time, and the way that it goes in three sigmas of the lateness."""
+    speed_mps = np.sqrt((drive.truth.v_world_mps**2).sum(-1).mean())
+    return rmse_m(run(drive).trajectory, drive, 5.0) + 3 * told["sigma_s"] * speed_mps
+
+
 @pytest.mark.parametrize("by_s", [0.13, -0.4])
 def test_late_fixes_are_found_and_cost_no_accuracy(city, run, rmse_m, by_s):
     drive = city(3, 60.0)
@@ -24,7 +30,7 @@ def test_late_fixes_are_found_and_cost_no_accuracy(city, run, rmse_m, by_s):
     told = result.summary["clock"]
     assert told["observable"]
     assert abs(told["late_s"] - by_s) < 3 * told["sigma_s"] < 0.1
-    assert rmse_m(result.trajectory, drive, 5.0) < 1.5 * rmse_m(run(drive).trajectory, drive, 5.0)
+    assert rmse_m(result.trajectory, drive, 5.0) < allowed_m(drive, run, rmse_m, told)
 
 
 def test_the_sigma_of_the_lateness_holds_over_drives(city, run):
@@ -40,7 +46,7 @@ def test_a_late_imu_is_the_same_seen_from_the_fixes_clock(city, run, rmse_m):
     result = run(late(drive, "imu", 0.13), clock={"estimate": "imu"})
     told = result.summary["clock"]
     assert abs(told["late_s"] - 0.13) < 3 * told["sigma_s"]
-    assert rmse_m(result.trajectory, drive, 5.0) < 1.5 * rmse_m(run(drive).trajectory, drive, 5.0)
+    assert rmse_m(result.trajectory, drive, 5.0) < allowed_m(drive, run, rmse_m, told)
 
 
 def test_a_configured_lateness_makes_up_for_it(city, run, apart):
