@@ -6,8 +6,7 @@ an aiding measurement is true, at either end of an IMU gap, and at least every
 epochs, which the IMU alone reaches.
 """
 
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,12 +22,10 @@ from fgloc.constraints import (
 )
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
-from fgloc.measurements import Array, GnssFixes, ImuSamples, Table
+from fgloc.measurements import Array, GnssFixes, ImuSamples
 from fgloc.result import Event
 from fgloc.timing import Instants, elapsed_s, seconds_to_ns
 from fgloc.verdicts import SourceVerdicts, Verdict
-
-T = TypeVar("T", bound=Table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,16 +84,15 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
 
     Raises DriveError where there are no fixes, no IMU, or the two do not overlap in time.
     """
-    gnss = on_time(drive.gnss, config.clock.gnss_s)
+    gnss = drive.gnss
     verdicts = {
         name: SourceVerdicts.of(name, table, Verdict.UNUSED, f"no {name} factor in this method")
         for name, table in drive.tables.items()
     }
-    read = on_time(drive.imu, config.clock.imu_s)
-    imu = _usable_samples(read, verdicts["imu"], drive.name)
+    imu = _usable_samples(drive.imu, verdicts["imu"], drive.name)
     usable = _usable_fixes(gnss, imu, verdicts["gnss"], drive.name)
     first, last = gnss.t_ns[usable[0]], imu.t_ns[-1]
-    _judge_early(read, imu, first, verdicts["imu"])
+    _judge_early(drive.imu, imu, first, verdicts["imu"])
     gaps = _gaps(imu, first, config.imu.gap_s)
     keyframes = _merged(gnss.t_ns[usable], gaps.ravel(), [first, last])
     wheel_rows = chosen_wheel_rows(drive, keyframes, config.vehicle, verdicts)
@@ -139,11 +135,6 @@ def _keyframe_interval_s(config: SmoothConfig) -> float:
     """The vehicle's constraints need states of their own where the measurements give none."""
     asked = config.vehicle.non_holonomic or config.vehicle.zero_velocity
     return min(config.keyframe_interval_s, config.vehicle.interval_s if asked else np.inf)
-
-
-def on_time(table: T, late_s: float) -> T:
-    """A table whose stamps are so much late, with the instants when its rows were true."""
-    return replace(table, t_ns=table.t_ns - seconds_to_ns(late_s)) if late_s else table
 
 
 def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> ImuSamples:

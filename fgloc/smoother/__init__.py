@@ -4,7 +4,7 @@ import platform
 import time
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, TypeVar
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
@@ -15,6 +15,7 @@ from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
 from fgloc.sync import plan
 from fgloc.verdicts import counts
 
+M = TypeVar("M", bound=Model)
 METHODS = {
     "graph-batch": "batch", "graph-incremental": "incremental", "graph-lag": "fixed-lag",
 }  # fmt: skip
@@ -39,7 +40,7 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
 
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:
-    model = Model(drive, plan(drive, config), config)
+    model = _model(Model, drive, config)
     run = run_batch(model)
     in_force = config
     for _ in range(MAX_SHIFTS):
@@ -48,7 +49,7 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
         # The estimate brings fixes back along a straight line: shift the stamps by it, and see what
         # is left. A fix may then be true at another instant, so the epochs are planned anew.
         in_force = clocks.shifted(in_force, run.late_s)
-        model = Model(drive, plan(drive, in_force), in_force)
+        model = _model(Model, drive, in_force)
         run = run_batch(model)
     summary = _summary(model, run.factors) | {"iterations": run.iterations, "cost": run.cost}
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
@@ -58,10 +59,17 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
         found = clocks.shifted(in_force, run.late_s)
         summary["clock"] = clocks.summary(found, run.late_sigma_s)
         events.append(Event(int(model.t_ns[0]), "clock", summary["clock"]["text"]))
+    verdicts = clocks.stamped_as_read(model.plan.verdicts, drive)
     return Result(
-        run.log.trajectory(model), model.plan.verdicts, summary, summary["method"],
-        causal=False, events=_in_order(tuple(events)), config=_provenance(config),
+        run.log.trajectory(model), verdicts, summary, summary["method"], causal=False,
+        events=_in_order(tuple(events)), config=_provenance(config),
     )  # fmt: skip
+
+
+def _model(kind: type[M], drive: Drive, config: SmoothConfig) -> M:
+    """The model of a drive whose clocks are set right."""
+    drive = clocks.on_time(drive, config)
+    return kind(drive, plan(drive, config), config)
 
 
 def _online(drive: Drive, config: SmoothConfig) -> Result:
@@ -69,7 +77,7 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
     from fgloc.smoother.online import Online
 
     clocks.refuse_estimate(config)
-    model = GraphModel(drive, plan(drive, config), config)
+    model = _model(GraphModel, drive, config)
     lag_s = config.lag_s if config.mode == "fixed-lag" else None
     online = Online(model, lag_s)
     online.run()
@@ -77,7 +85,7 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
     seen = online.yaw_observable_ns
     summary["yaw_observable_s"] = None if seen is None else (seen - int(model.t_ns[0])) / 1e9
     return Result(
-        online.log.trajectory(model), model.plan.verdicts, summary,
+        online.log.trajectory(model), clocks.stamped_as_read(model.plan.verdicts, drive), summary,
         summary["method"], causal=True,
         smoothed=online.last.trajectory(model) if online.last else None,
         events=_in_order((*model.plan.events, *online.events)), config=_provenance(config),

@@ -1,12 +1,35 @@
-"""How late a source's stamps are: what is made of an estimate, and what is told of it."""
+"""How late a source's stamps are: set right, made better by an estimate, and told of."""
 
+from dataclasses import replace
 from typing import Any
 
 from fgloc.config import SmoothConfig
+from fgloc.drive import Drive
 from fgloc.errors import ConfigError
+from fgloc.timing import seconds_to_ns
+from fgloc.verdicts import Verdicts
 
 OBSERVABLE_SHARE = 0.5
 """A lateness counts as observed where its sigma has come down to this share of the prior's."""
+
+
+def on_time(drive: Drive, config: SmoothConfig) -> Drive:
+    """The drive with its rows at the instants when they were true; received as they were."""
+    clock = config.clock
+    late_s = {"gnss": clock.gnss_s, "imu": clock.imu_s, "wheel": clock.wheel_s}
+    tables = {
+        name: replace(drive.tables[name], t_ns=drive.tables[name].t_ns - seconds_to_ns(s))
+        for name, s in late_s.items()
+        if s and name in drive.tables
+    }
+    return drive.with_tables(**tables) if tables else drive
+
+
+def stamped_as_read(verdicts: Verdicts, drive: Drive) -> Verdicts:
+    """Verdicts with the stamps that the rows came with."""
+    for name, table in drive.tables.items():
+        verdicts[name].t_ns = table.t_ns
+    return verdicts
 
 
 def shifted(config: SmoothConfig, late_s: float) -> SmoothConfig:
