@@ -5,12 +5,11 @@ import dataclasses
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import K
 
 from fgloc.config import load_config
 from fgloc.constraints import NON_HOLONOMIC, STANDSTILL
 from fgloc.factors import vehicle
-from fgloc.smoother.model import Model, State
+from fgloc.smoother.graph import GraphModel, State
 from fgloc.smoother.tree import as_graph
 from fgloc.sync import plan
 
@@ -83,17 +82,16 @@ def test_wheel_speeds_that_come_late_enter_at_their_instant_or_not_at_all(city, 
 def test_the_numpy_residuals_have_the_cost_of_the_native_factors(city):
     """Of an axle that slides by a tenth of a metre a second, to a millionth of the chi-square."""
     drive, config = city(0, 20.0), load_config(vehicle=RIGID)
-    model = Model(drive, plan(drive, config), config)
+    model = GraphModel(drive, plan(drive, config), config)
     car, j = model.car, int(np.flatnonzero(model.car.wheel_row >= 0)[12])
     pose, bias = gtsam.Pose3(gtsam.Rot3.Expmap([0.1, 0.2, 2.0]), [5, 6, 7]), np.full(6, 0.01)
-    calibration = vehicle.calibration([0.01, -0.02], 1.01)
+    car.found = np.array([0.01, -0.02, 1.01])
     v = pose.rotation().matrix() @ [1.01 * car.wheels.speed_mps[car.wheel_row[j]], 0.1, 0.05]
     native = gtsam.Values()
     model.insert_shared(native)
-    native.update(K(0), calibration)
     state = State(pose, v, gtsam.imuBias.ConstantBias(bias[:3], bias[3:]))
     model.insert(native, j, state, new_bias=True)
-    car.insert(native, j, pose, v, state.bias, calibration)
+    car.insert(native, j, pose, v, state.bias)
     cost = as_graph([*car.axis_factors(j), *car.wheel_factors(j)]).error(native)
 
     R, rate = pose.rotation().matrix()[None], car.rate_radps[[j]]
