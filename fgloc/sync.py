@@ -105,7 +105,9 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
     for start, end in gaps:
         in_gap |= (t_ns > start) & (t_ns <= end)
     steps = _steps(imu, drive.rig.T_veh_imu[:3, :3], t_ns)
-    epochs = Epochs(t_ns, np.isin(t_ns, keyframes), in_gap, fix_row, *steps)
+    is_keyframe = np.zeros(len(t_ns), bool)
+    is_keyframe[np.searchsorted(t_ns, keyframes)] = True
+    epochs = Epochs(t_ns, is_keyframe, in_gap, fix_row, *steps)
     held = constraints(drive, imu, t_ns, epochs.is_keyframe, wheel_rows, config.vehicle)
     _count(held, t_ns, config, verdicts)
     return Plan(epochs, held, verdicts, _gap_events(gaps))

@@ -16,7 +16,9 @@ from fgloc.measurements import Array
 
 BLOCKS_AT_ONCE = 4096
 """The inverse is taken in portions of so many blocks, which bounds the memory."""
-MANY_BLOCKS = 1000
+AT_A_TIME = 4
+"""Blocks that numpy factorises in one call: fewer and the calls cost more than the arithmetic."""
+MANY_BLOCKS = 2000
 """From here on LAPACK pays: a step through numpy for each block costs less than importing scipy, up
 to about this many."""
 
@@ -218,21 +220,27 @@ class _Lapack(Factor):
 
 
 class _Blocks(Factor):
-    """Block by block in numpy."""
+    """A few blocks at a time in numpy, each time with the next one, which takes what they leave."""
 
     def __init__(self, columns: Array) -> None:
         H = _unfolded(columns)
         n, d = len(H), H.shape[-1]
-        self._inverse, self._across = np.empty((n, d, d)), np.zeros((n, d, d))
-        reduced = H[0, :d]
-        for j in range(n):
+        m = -(-n // AT_A_TIME)
+        windows = _windows(H, m)
+        L = np.empty_like(windows)
+        for c in range(m):
             try:
-                inverse = self._inverse[j] = np.linalg.inv(np.linalg.cholesky(reduced))
+                L[c] = np.linalg.cholesky(windows[c])
             except np.linalg.LinAlgError as err:
-                raise NotPositiveError(j * d) from err
-            if j + 1 < n:
-                across = self._across[j] = H[j, d:] @ inverse.T
-                reduced = H[j + 1, :d] - across @ across.T
+                raise NotPositiveError(c * AT_A_TIME * d + _first_unheld(windows[c])) from err
+            if c + 1 < m:
+                left = L[c, -d:, -d:]
+                windows[c + 1, :d, :d] = left @ left.T
+        at = [slice(i * d, (i + 1) * d) for i in range(AT_A_TIME + 1)]
+        own = np.stack([L[:, at[i], at[i]] for i in range(AT_A_TIME)], 1)
+        across = np.stack([L[:, at[i + 1], at[i]] for i in range(AT_A_TIME)], 1)
+        self._inverse = _inverse_of_lower(own.reshape(-1, d, d)[:n])
+        self._across = across.reshape(-1, d, d)[:n]
 
     def solve(self, right: Array) -> Array:
         y = np.empty_like(right)
@@ -248,6 +256,30 @@ class _Blocks(Factor):
 
     def blocks(self, rows: slice) -> tuple[Array, Array]:
         return self._inverse[rows], self._across[rows]
+
+
+def _windows(H: Array, m: int) -> Array:
+    """m dense matrices of `AT_A_TIME` + 1 blocks each from those of `_unfolded`, the last of one
+    being the first of the next; what lies beyond the end is the unit matrix."""
+    n, width, d = H.shape
+    padded = np.zeros((m * AT_A_TIME + 1, width, d))
+    padded[:n], padded[n:, :d] = H, np.eye(d)
+    windows = np.zeros((m, (AT_A_TIME + 1) * d, (AT_A_TIME + 1) * d))
+    for i in range(AT_A_TIME):
+        rows, columns = slice(i * d, (i + 2) * d), slice(i * d, (i + 1) * d)
+        windows[:, rows, columns] = padded[i : m * AT_A_TIME : AT_A_TIME]
+    windows[:, -d:, -d:] = padded[AT_A_TIME::AT_A_TIME, :d]
+    return windows
+
+
+def _first_unheld(matrix: Array) -> int:
+    """The first unknown of a matrix whose leading part up to it is not positive definite."""
+    for i in range(len(matrix)):
+        try:
+            np.linalg.cholesky(matrix[: i + 1, : i + 1])
+        except np.linalg.LinAlgError:
+            return i
+    return len(matrix) - 1
 
 
 def _unfolded(columns: Array) -> Array:
