@@ -1,0 +1,158 @@
+"""Withheld fixes as predicted from all others, under one noise or another."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgloc.config import SmoothConfig
+from fgloc.drive import Drive
+from fgloc.factors import gnss
+from fgloc.factors.imu import ImuDeltas
+from fgloc.measurements import Array
+from fgloc.smoother.band import Factor, NotPositiveError
+from fgloc.smoother.batch import run_batch
+from fgloc.smoother.chain import GNSS_BIAS, POSE, Chain
+from fgloc.smoother.guess import guess, gyro_yaw
+from fgloc.smoother.model import Model
+from fgloc.smoother.states import States
+from fgloc.sync import plan
+from fgloc.tuning.rounds import Round
+from fgloc.verdicts import Verdict
+
+ENOUGH = 0.01
+"""A prediction is good where a Newton step promises less than this of the cost, half a chi-square:
+the graph is so nearly linear around the states of another noise that one or two steps do."""
+MOST_STEPS = 10
+PLAIN = {"loss": "none", "gate_probability": 1.0}
+"""No loss and no gate: with noise far too small they would throw out good fixes, and what is left
+would look consistent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """M withheld fixes: predicted minus measured (M, 3) in m ENU, with its covariance (M, 3, 3).
+
+    fixes    (M,) how many were withheld in a row
+    stretch  (M,) the stretch of the drive
+    t_s      (M,) when, from the first fix on
+    """
+
+    error: Array
+    cov: Array
+    fixes: NDArray[np.int64]
+    stretch: NDArray[np.int64]
+    t_s: Array
+
+
+class Bench:
+    """A drive whose fixes are withheld in rounds.
+
+    It keeps the states of the last `settle` for each round, to start from. `outliers` (fixes,) are
+    withheld in every round, and never scored.
+    """
+
+    def __init__(self, drive: Drive, config: SmoothConfig) -> None:
+        """Raises DriveError where the drive lacks fixes, an IMU or its noise."""
+        self.drive, self.plan = drive, plan(drive, config)
+        model = Model(drive, self.plan, plain(config))
+        self.noise = model.noise
+        self.with_fix = model.fix_of >= 0
+        self.fix_t_s = model.t_s[self.with_fix]
+        self.outliers = np.zeros(len(self.fix_t_s), bool)
+        self._guess = guess(model, 0, len(model) - 1, gyro_yaw(model))
+        self._deltas: tuple[tuple[float, float], ImuDeltas] | None = None
+        self._start: States | None = None
+        self._states: dict[int, States] = {}
+
+    def find_outliers(self, config: SmoothConfig) -> None:
+        """Those that smoothing with a configuration gates: far beyond what its noise explains."""
+        planned = plan(self.drive, config)
+        model = Model(self.drive, planned, config)
+        run_batch(model)
+        rows = model.fix_of[self.with_fix]
+        self.outliers = planned.verdicts["gnss"].is_(Verdict.GATED)[rows]
+
+    def settle(self, config: SmoothConfig, rounds: Sequence[Round]) -> Predictions:
+        """Solve all rounds, each from where it was settled last. Raises SolverError."""
+        chain = self._chain(config)
+        solved = [self._solve(chain, one, MOST_STEPS) for one in rounds]
+        for one, (states, _) in zip(rounds, solved, strict=True):
+            self._states[id(one)] = states
+        return self._gathered(chain, rounds, solved)
+
+    def nudge(self, config: SmoothConfig, rounds: Sequence[Round]) -> Predictions:
+        """The same for noise next to that of the settled rounds, by one Newton step."""
+        chain = self._chain(config)
+        return self._gathered(chain, rounds, [self._solve(chain, one, 1) for one in rounds])
+
+    def _chain(self, config: SmoothConfig) -> Chain:
+        """The graph under a configuration; what was preintegrated last is taken if it fits."""
+        model = Model(self.drive, self.plan, plain(config))
+        noise = (model.noise.accel_noise_mps2_per_sqrt_hz, model.noise.gyro_noise_radps_per_sqrt_hz)
+        if self._deltas is None or self._deltas[0] != noise:
+            self._deltas = noise, model.deltas()[0]
+        return Chain(model, self._guess, self._deltas[1])
+
+    def _solve(self, chain: Chain, one: Round, most: int) -> tuple[States, Array]:
+        """States of a round, and the poses' covariances, with those of the GNSS bias (n, q, q)."""
+        withheld = one.withheld | self.outliers
+        states = self._states.get(id(one)) or self._first(chain)
+        keep = np.append(POSE, GNSS_BIAS) if chain.model.has_gnss_bias else POSE
+        try:
+            states, factor = _newton(chain, states, withheld, most)
+        except NotPositiveError:
+            states, _, _ = chain.optimum(states, withheld)
+            states, factor = _newton(chain, states, withheld, 1)
+        return states, factor.inverse_blocks(chain.n, keep)
+
+    def _first(self, chain: Chain) -> States:
+        """The drive smoothed as a whole, heading and all; every round begins there."""
+        if self._start is None:
+            log, at = run_batch(chain.model).log, chain.model.epoch_of
+            bias = np.hstack([np.zeros((len(at), 3)), log.gyro_bias[at]])
+            self._start = States(log.R[at], log.p[at], log.v[at], bias, np.zeros((len(at), 3)))
+        return self._start
+
+    def _gathered(
+        self, chain: Chain, rounds: Sequence[Round], solved: Sequence[tuple[States, Array]]
+    ) -> Predictions:
+        """The scored fixes of all rounds, one round after the other, without the outliers."""
+        parts = []
+        for one, (states, cov) in zip(rounds, solved, strict=True):
+            kept = ~self.outliers[one.scored]
+            scored, length = one.scored[kept], np.full(int(kept.sum()), one.fixes)
+            parts.append((*_compared(chain, states, cov, scored), length, one.stretch[kept],
+                          self.fix_t_s[scored]))  # fmt: skip
+        return Predictions(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def plain(config: SmoothConfig) -> SmoothConfig:
+    """The configuration without loss and gate; see `PLAIN`."""
+    return config.model_copy(update={"gnss": config.gnss.model_copy(update=PLAIN)})
+
+
+def _newton(
+    chain: Chain, states: States, withheld: NDArray[np.bool_], most: int
+) -> tuple[States, Factor]:
+    """States after some steps, and the factor of the last one; NotPositiveError as it comes."""
+    while True:
+        _, band = chain.linearize(states, withheld, "plain")
+        factor, most = band.factor(0.0), most - 1
+        step = factor.solve(band.gradient)
+        states = chain.moved(states, -step)
+        if most == 0 or float((step * band.gradient).sum()) / 2 <= ENOUGH:
+            return states, factor
+
+
+def _compared(
+    chain: Chain, states: States, cov: Array, fixes: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Errors (k, 3) and covariances (k, 3, 3) of some fixes as predicted from the states."""
+    model, at = chain.model, chain.fixed[fixes]
+    z = model.fixes.p_world_ant_m[model.fix_of[at]]
+    told = gnss.residual(states.p[at], states.R[at], z, model.lever, states.gnss_bias[at])
+    by_bias = np.broadcast_to(told.by_bias, (len(at), 3, 3))
+    H = np.concatenate([told.by_pose, by_bias], -1)[..., : cov.shape[-1]]
+    return told.error, H @ cov[at] @ H.swapaxes(-1, -2) + model.cov_of_fixes(at)
