@@ -53,13 +53,15 @@ class Band:
                 self.columns[stop, c, : d - c] += portion.blocks[-1, c, c:d]
             self.gradient[stop] += portion.gradient[-1]
 
-    def factor(self, damping: Array | float) -> "Factor":
+    def factor(self, damping: Array | float, *, often: bool = False) -> "Factor":
         """The Cholesky factor of H with a damping (d,) on each block; H may be overwritten.
 
-        Raises NotPositiveError.
+        `often` says that many are to come, which is worth importing scipy for. Raises
+        NotPositiveError.
         """
         self.columns[:, :, 0] += damping
-        return (_Blocks if len(self.columns) < MANY_BLOCKS else _Lapack)(self.columns)
+        few = len(self.columns) < MANY_BLOCKS and not often
+        return (_Blocks if few else _Lapack)(self.columns)
 
 
 class Portion:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
-from fgloc.drive import Drive
+from fgloc.drive import Drive, ImuNoise
 from fgloc.factors import gnss
 from fgloc.factors.imu import ImuDeltas
 from fgloc.measurements import Array
@@ -25,6 +25,9 @@ ENOUGH = 0.01
 """A prediction is good where a Newton step promises less than this of the cost, half a chi-square:
 the graph is so nearly linear around the states of another noise that one or two steps do."""
 MOST_STEPS = 10
+ACCEL, GYRO = "accel_noise_mps2_per_sqrt_hz", "gyro_noise_radps_per_sqrt_hz"
+NOTHING = 1e-30
+"""A density that adds nothing to any covariance."""
 PLAIN = {"loss": "none", "gate_probability": 1.0}
 """No loss and no gate: with noise far too small they would throw out good fixes, and what is left
 would look consistent."""
@@ -46,6 +49,34 @@ class Predictions:
     t_s: Array
 
 
+class Motion:
+    """The IMU between keyframes, preintegrated once for all noise.
+
+    Its covariance grows with the square of the accelerometer's density, with that of the gyro's,
+    and has a rest: the integration's own noise, and all of it in a gap.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self._noise = model.noise
+        self._deltas = _preintegrated(model, {ACCEL: NOTHING, GYRO: NOTHING})
+        self._by_accel = _preintegrated(model, {GYRO: NOTHING}).cov - self._deltas.cov
+        self._by_gyro = _preintegrated(model, {ACCEL: NOTHING}).cov - self._deltas.cov
+
+    def under(self, noise: ImuNoise) -> ImuDeltas:
+        """What the IMU tells with some noise."""
+        accel, gyro = (
+            (getattr(noise, key) / getattr(self._noise, key)) ** 2 for key in (ACCEL, GYRO)
+        )
+        cov = self._deltas.cov + accel * self._by_accel + gyro * self._by_gyro
+        return self._deltas._replace(cov=cov)
+
+
+def _preintegrated(model: Model, noise: dict[str, float]) -> ImuDeltas:
+    """The model's deltas between keyframes, with some of the IMU's noise changed."""
+    config = model.config.model_copy(update={"imu": model.config.imu.model_copy(update=noise)})
+    return Model(model.drive, model.plan, config).deltas()[0]
+
+
 class Bench:
     """A drive whose fixes are withheld in rounds.
 
@@ -62,7 +93,7 @@ class Bench:
         self.fix_t_s = model.t_s[self.with_fix]
         self.outliers = np.zeros(len(self.fix_t_s), bool)
         self._guess = guess(model, 0, len(model) - 1, gyro_yaw(model))
-        self._deltas: tuple[tuple[float, float], ImuDeltas] | None = None
+        self._motion = Motion(model)
         self._start: States | None = None
         self._states: dict[int, States] = {}
 
@@ -88,12 +119,9 @@ class Bench:
         return self._gathered(chain, rounds, [self._solve(chain, one, 1) for one in rounds])
 
     def _chain(self, config: SmoothConfig) -> Chain:
-        """The graph under a configuration; what was preintegrated last is taken if it fits."""
+        """The graph under a configuration."""
         model = Model(self.drive, self.plan, plain(config))
-        noise = (model.noise.accel_noise_mps2_per_sqrt_hz, model.noise.gyro_noise_radps_per_sqrt_hz)
-        if self._deltas is None or self._deltas[0] != noise:
-            self._deltas = noise, model.deltas()[0]
-        return Chain(model, self._guess, self._deltas[1])
+        return Chain(model, self._guess, self._motion.under(model.noise))
 
     def _solve(self, chain: Chain, one: Round, most: int) -> tuple[States, Array]:
         """States of a round, and the poses' covariances, with those of the GNSS bias (n, q, q)."""
@@ -139,7 +167,7 @@ def _newton(
     """States after some steps, and the factor of the last one; NotPositiveError as it comes."""
     while True:
         _, band = chain.linearize(states, withheld, "plain")
-        factor, most = band.factor(0.0), most - 1
+        factor, most = band.factor(0.0, often=True), most - 1
         step = factor.solve(band.gradient)
         states = chain.moved(states, -step)
         if most == 0 or float((step * band.gradient).sum()) / 2 <= ENOUGH:

@@ -80,7 +80,7 @@ def slope(
     parts = np.unique(told.stretch)
     each = np.stack([(w[:, None] * change)[told.stretch == part].sum(0) for part in parts])
     each -= gradient / len(parts)
-    scatter = each.T @ each * len(parts) / max(len(parts) - 1, 1)
+    scatter = each.T @ each * len(parts) / max(len(parts) - 1 - q, 1)  # q were fitted to them
     fisher *= HEAVY_CURVATURE if heavy else 1.0
     return Slope(gradient, np.einsum("n,njk->jk", w, fisher),
                  np.einsum("n,njk->jk", 1.0 / told.fixes, fisher), scatter)  # fmt: skip
