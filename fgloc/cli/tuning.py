@@ -58,10 +58,10 @@ def tune(
     if as_json:
         print_json(found.to_dict())
     else:
-        _print(found, out)
+        _print(found, drive, out)
 
 
-def _print(found: "Tuning", out: Path) -> None:
+def _print(found: "Tuning", drive: str, out: Path) -> None:
     from fgloc.report.tables import number
 
     rows = [
@@ -82,4 +82,4 @@ def _print(found: "Tuning", out: Path) -> None:
           gaps)  # fmt: skip
     for remark in found.remarks:
         say(f"note: {remark}")
-    say(f"Configuration in {out}; use it with fgloc smooth {found.drive} --config {out}")
+    say(f"Configuration in {out}; use it with fgloc smooth {drive} --config {out}")

@@ -54,7 +54,7 @@ def tune(
     rounds = make_rounds(bench.fix_t_s, outage_s, drive.name)
     search = Search(bench, config, rounds.seen, tell)
     search.run()
-    found = search.at_ratio(search.at.log_ratio)
+    found = search.found()
     tell("judging the stretches that the search has not seen")
     before, after = (bench.settle(one, rounds.unseen) for one in (search.given(), found))
     every_s = float(np.median(np.diff(bench.fix_t_s)))
@@ -68,12 +68,17 @@ def tune(
 def _consistency(
     before: Predictions, after: Predictions, fixes: int, outage_s: float
 ) -> Consistency:
-    """The unseen fixes that were withheld so many in a row."""
+    """The unseen fixes that were withheld so many in a row.
+
+    Errors of one block have in common what is not the fixes' own noise; their NIS correlate by the
+    square of that share.
+    """
     rows = before.fixes == fixes
     nis = [noise.nis(told.error, told.cov)[rows] / 3 for told in (before, after)]
     score = [float(scores(told)[rows].mean()) for told in (before, after)]
     order = np.argsort(after.t_s[rows], kind="stable")
-    worth = effective_samples(nis[1][order])
+    alike = 1 + (fixes - 1) * float((after.common[rows] ** 2).mean())
+    worth = min(effective_samples(nis[1][order]), len(order) / alike)
     low, high = anees_band(worth, 3)
     return Consistency(
         fixes, outage_s, int(rows.sum()), worth, float(nis[0].mean()), float(nis[1].mean()),

@@ -37,6 +37,7 @@ would look consistent."""
 class Predictions:
     """M withheld fixes: predicted minus measured (M, 3) in m ENU, with its covariance (M, 3, 3).
 
+    common   (M,) share of the covariance that is not the fix's own, 0 to 1
     fixes    (M,) how many were withheld in a row
     stretch  (M,) the stretch of the drive
     t_s      (M,) when, from the first fix on
@@ -44,6 +45,7 @@ class Predictions:
 
     error: Array
     cov: Array
+    common: Array
     fixes: NDArray[np.int64]
     stretch: NDArray[np.int64]
     t_s: Array
@@ -176,11 +178,14 @@ def _newton(
 
 def _compared(
     chain: Chain, states: States, cov: Array, fixes: NDArray[np.int64]
-) -> tuple[Array, Array]:
-    """Errors (k, 3) and covariances (k, 3, 3) of some fixes as predicted from the states."""
+) -> tuple[Array, Array, Array]:
+    """Errors (k, 3), covariances (k, 3, 3) and the state's share in them (k,) of some fixes as
+    predicted."""
     model, at = chain.model, chain.fixed[fixes]
     z = model.fixes.p_world_ant_m[model.fix_of[at]]
     told = gnss.residual(states.p[at], states.R[at], z, model.lever, states.gnss_bias[at])
     by_bias = np.broadcast_to(told.by_bias, (len(at), 3, 3))
     H = np.concatenate([told.by_pose, by_bias], -1)[..., : cov.shape[-1]]
-    return told.error, H @ cov[at] @ H.swapaxes(-1, -2) + model.cov_of_fixes(at)
+    P = H @ cov[at] @ H.swapaxes(-1, -2)
+    S = P + model.cov_of_fixes(at)
+    return told.error, S, np.trace(np.linalg.solve(S, P), axis1=1, axis2=2) / 3

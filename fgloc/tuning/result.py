@@ -37,9 +37,9 @@ class Consistency:
 
     outage_s        how long the gap is, in s
     n, worth        how many were compared, and as how many independent ones they count
-    nis_before/after  mean NIS over its degrees of freedom; 1 is consistent
+    nis_...         mean NIS over its degrees of freedom; 1 is consistent
     low, high       the band that holds 95 % of what is consistent
-    log_likelihood_before/after  mean of a fix, without the constant
+    log_likelihood_...  mean of a fix, without the constant
     """
 
     fixes: int
@@ -79,8 +79,8 @@ class Tuning:
     def remarks(self) -> tuple[str, ...]:
         """What its user should know beside the numbers."""
         said = [
-            f"the claimed covariance is still too {size} for gaps of {', '.join(gaps)} s: white "
-            "noise and walks do not fit this drive at all lengths"
+            f"over gaps of {', '.join(gaps)} s the NIS stays outside its band: the covariance that "
+            f"is claimed there is too {size}"
             for size, gaps in (
                 ("small", self._gaps(above=True)),
                 ("large", self._gaps(above=False)),

@@ -82,6 +82,12 @@ class Search:
         """The configuration with every setting as it was in force when the search began."""
         return self.at_ratio(np.zeros(len(self.keys)))
 
+    def found(self) -> SmoothConfig:
+        """The configuration to write: what is kept stays with the rig or where else it was."""
+        changed = [j for j, status in enumerate(self.status) if status != "kept"]
+        values = self.start[changed] * np.exp(self.at.log_ratio[changed])
+        return with_settings(self.config, [self.keys[j] for j in changed], values)
+
     def settings(self) -> tuple[TunedSetting, ...]:
         """What became of each setting."""
         after = self.start * np.exp(self.at.log_ratio)
