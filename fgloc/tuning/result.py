@@ -97,6 +97,15 @@ class Tuning:
             )
         return tuple(said)
 
+    def _told(self) -> dict[str, Any]:
+        """What differs from the defaults and what was found; the seed is that of a run."""
+        told = self.config.model_dump(exclude_defaults=True, exclude={"seed"})
+        for one in self.settings:
+            if one.status != "kept":
+                section, _, name = one.key.partition(".")
+                told.setdefault(section, {})[name] = one.after
+        return told
+
     def _gaps(self, *, above: bool) -> list[str]:
         """Lengths in s whose NIS lies above its band, or below it."""
         return [
@@ -109,7 +118,7 @@ class Tuning:
         """Plain values, for JSON."""
         return {
             "drive": self.drive,
-            "config": self.config.model_dump(exclude_defaults=True),
+            "config": self._told(),
             "settings": [asdict(one) for one in self.settings],
             "consistency": [
                 asdict(one) | {"consistent": one.consistent} for one in self.consistency
@@ -122,7 +131,6 @@ class Tuning:
         """The text of a configuration file, with what was found as comments."""
         import tomli_w
 
-        config = self.config.model_dump(exclude_defaults=True, exclude={"seed"})
         lines = [
             f"Noise tuned on drive {self.drive}, {self.fixes} fixes.",
             *(_of_setting(one) for one in self.settings),
@@ -131,7 +139,7 @@ class Tuning:
             *(f"Remark: {remark}." for remark in self.remarks),
         ]
         head = "".join(f"# {' '.join(line.split())}\n" for line in lines)
-        return f"{head}\n{tomli_w.dumps(config)}"
+        return f"{head}\n{tomli_w.dumps(self._told())}"
 
 
 def _of_setting(one: TunedSetting) -> str:

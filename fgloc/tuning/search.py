@@ -40,8 +40,8 @@ PRIOR_SIGMA = float(np.log(10.0))
 """What is given is taken to be right to a factor of ten or so."""
 UNDETERMINED = float(np.log(2.0))
 """A setting whose log is no surer than this (a factor of two) is not determined by the drive."""
-LARGEST_STEP = 16.0
-"""Of a variance, up or down."""
+STEPS = 1 / 4, 16.0
+"""Least and largest factor on a variance in one step: down, scoring promises too much."""
 TOWARDS_FOUND = (0.25, 0.5, 0.75, 1.0)
 """Shares of the way, in logs, at which a bound is looked for."""
 CLEARLY = 2.0
@@ -139,7 +139,7 @@ class Search:
         hold = 1 / (PRIOR_SIGMA**2 * blocks)
         gradient = here.gradient + hold * self.at.log_ratio[free]
         share = -np.linalg.solve(here.curvature + hold * np.eye(len(free)), gradient)
-        step = np.log(np.clip(1 + 2 * share, 1 / LARGEST_STEP, LARGEST_STEP)) / 2
+        step = np.log(np.clip(1 + 2 * share, *STEPS)) / 2
         return step, -float(gradient @ share) * blocks / 2
 
     def _blocks(self) -> float:

@@ -68,7 +68,7 @@ def test_noise_stated_five_times_wrong_is_found_again(sigmas, imu):
         assert found[key].status != "kept" and 1 / factor < ratio < factor
 
 
-@pytest.mark.parametrize("sigmas", [0.2, 1.0, 5.0])
+@pytest.mark.parametrize("sigmas", [0.2, 5.0])
 def test_what_the_drive_does_not_determine_stays_with_the_rig(sigmas):
     """Fixes of metres ten times a second say nothing of a good IMU."""
     tuning = fgloc.tune(claiming(fgloc.make("city", seed=1, duration_s=60.0), sigmas))
@@ -106,10 +106,9 @@ def test_slow_errors_are_found_where_they_are_asked_for():
 def test_the_truth_is_not_used(small):
     wrong = dataclasses.replace(small.truth, p_world_m=small.truth.p_world_m + 100.0)
     tunings = [
-        fgloc.tune(dataclasses.replace(small, truth=truth)).to_dict()
-        for truth in (small.truth, None, wrong)
+        fgloc.tune(dataclasses.replace(small, truth=truth)).to_dict() for truth in (wrong, None)
     ]
-    assert tunings[0] == tunings[1] == tunings[2]
+    assert tunings[0] == tunings[1]
 
 
 def test_the_configuration_it_starts_from_is_kept_and_written(small):
@@ -127,13 +126,13 @@ def test_the_configuration_it_starts_from_is_kept_and_written(small):
 
 
 def test_preintegrated_noise_is_that_of_the_model(small):
-    bench = Bench(small, load_config())
-    config = load_config(settings=[f"{ACCEL}=0.03", f"{GYRO}=1e-5", "imu.gap_s=0.005"])
-    for one in (config, load_config()):
-        model = Model(small, bench.plan, one)
-        told, own = bench._motion.under(model.noise), model.deltas()[0]
-        for mine, theirs in zip(told, own, strict=True):
-            np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-18)
+    t_s = (small.imu.t_ns - small.imu.t_ns[0]) / 1e9
+    gap = small.with_tables(imu=small.imu.take((t_s < 12.0) | (t_s > 12.7)))
+    bench = Bench(gap, load_config())
+    model = Model(gap, bench.plan, load_config(settings=[f"{ACCEL}=0.03", f"{GYRO}=1e-5"]))
+    assert model.epochs.in_gap.any()
+    for mine, theirs in zip(bench._motion.under(model.noise), model.deltas()[0], strict=True):
+        np.testing.assert_allclose(mine, theirs, rtol=1e-9, atol=1e-18)
 
 
 def test_drives_that_cannot_be_tuned_are_refused(small):
