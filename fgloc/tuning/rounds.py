@@ -66,7 +66,8 @@ def make_rounds(t_s: NDArray[np.float64], outage_s: float, name: str) -> Rounds:
     kind[(stretch == 0) | (stretch >= (n - 1) // longest)] = -1
     unseen = kind == UNSEEN
     seen = _rounds(stretch, lengths, (kind >= 0) & ~unseen, kind == WHOLE, unseen)
-    return Rounds(seen, _rounds(stretch, lengths, unseen, unseen, ~(kind == kind)), tuple(lengths))
+    judged = _rounds(stretch, lengths, unseen, unseen, np.zeros(n, bool))
+    return Rounds(seen, judged, tuple(lengths))
 
 
 def _rounds(

@@ -46,6 +46,16 @@ def test_terms_add_up_and_the_solution_is_that_of_the_dense_system(systems):
     np.testing.assert_allclose(x.ravel(), np.linalg.solve(H, g))
 
 
+def test_what_is_solved_often_is_solved_by_lapack_to_the_same_answer(systems, monkeypatch):
+    banded, dense, gradient = systems
+    monkeypatch.setattr(band, "MANY_BLOCKS", 100)
+    factor = banded.factor(0.0, often=True)
+    assert isinstance(factor, band._Lapack)
+    np.testing.assert_allclose(
+        factor.solve(banded.gradient).ravel(), np.linalg.solve(dense, gradient), rtol=1e-9
+    )
+
+
 def test_damping_lies_on_the_diagonal_of_every_block(systems):
     banded, H, g = systems
     damping = np.array([1.0, 2.0, 3.0, 4.0])
