@@ -41,6 +41,35 @@ def residual(
     return GnssResidual(error, by_pose, np.eye(3))
 
 
+class LateResidual(NamedTuple):
+    """error (N, 3) in m; Jacobians by pose (N, 3, 6), velocity (3), gyro bias (3), lateness (1)."""
+
+    error: Array
+    by_pose: Array
+    by_velocity: Array
+    by_gyro_bias: Array
+    by_late: Array
+
+
+def late_residual(
+    told: GnssResidual, R_world_veh: Array, v_world_mps: Array, rate_radps: Array,
+    p_veh_ant_m: ArrayLike, late_s: float,
+) -> LateResidual:  # fmt: skip
+    """`residual` of fixes that are stamped too late: they tell where the antenna was before.
+
+    The antenna is brought back along its velocity v + R (w x l), with w the angular rate (N, 3)
+    less the gyro's bias, in rad/s; what accelerates within `late_s` is left out.
+    """
+    lever = np.asarray(p_veh_ant_m, float)
+    swing = np.cross(rate_radps, lever)
+    v = v_world_mps + np.einsum("nij,nj->ni", R_world_veh, swing)
+    by_pose = told.by_pose.copy()
+    by_pose[:, :, :3] += late_s * R_world_veh @ skew(swing)
+    by_velocity = np.broadcast_to(-late_s * np.eye(3), R_world_veh.shape)
+    by_gyro_bias = -late_s * R_world_veh @ skew(lever)
+    return LateResidual(told.error - late_s * v, by_pose, by_velocity, by_gyro_bias, -v[..., None])
+
+
 def position_factor(
     pose_key: int, z_world_m: Array, p_veh_ant_m: Array, model: gtsam.noiseModel.Base
 ) -> gtsam.GPSFactorArm:

@@ -64,6 +64,62 @@ class ImuConfig(Section):
     """Unknown turn rate in a gap: density of its white noise, rad/s per sqrt(Hz)."""
 
 
+class VehicleConfig(Section):
+    """What may be taken for granted of a vehicle; off where the drive does not say it is a car."""
+
+    non_holonomic: bool = False
+    """The wheels do not slide sideways and the road holds the car: no speed but along its axis."""
+    zero_velocity: bool = False
+    """While the IMU shakes no more than a car at rest does, it neither moves nor turns."""
+    wheel_speed: bool = True
+    """Use wheel speeds where the drive has them."""
+    interval_s: float = Field(default=1.0, gt=0)
+    """One constraint, and one wheel speed, in so much time: their errors last for seconds, so more
+    of them say little more."""
+    p_veh_point_m: list[float] = Field(default=[0.0, 0.0, 0.0], min_length=3, max_length=3)
+    """The point that does not slide, vehicle frame: its origin, which is the rear axle."""
+    point_sigma_m: float = Field(default=0.5, ge=0)
+    """How well its place along x is known: in a bend, tyres that yield seem to move it."""
+    lateral_sigma_mps: float = Field(default=0.02, gt=0)
+    """Of the speed sideways where the car goes straight: camber and wind; a camber of 2 % slips by
+    as much at 15 m/s."""
+    vertical_sigma_mps: float = Field(default=0.06, gt=0)
+    """Of the speed upwards, along the body's axes: it heaves by 0.04 m/s in town, alike for about a
+    second, so once a second that is worth a little more in white noise."""
+    pitch_rad_per_mps2: float = Field(default=0.005, ge=0)
+    """How far the body pitches on its springs for each m/s^2 of force along x, nose up: common cars
+    do by 2 to 4 degrees per g. 0 for a body that has no springs, as in simulation."""
+    mounting_sigma_rad: float = Field(default=0.03, gt=0)
+    """How straight the IMU's axes lie to the car's; the turn between them is estimated."""
+    scale_sigma: float = Field(default=0.02, gt=0)
+    """Of the wheels' scale, which is estimated: tyres differ in wear, load and pressure."""
+    still_window_s: float = Field(default=1.0, gt=0)
+    """Standstill is told from the samples of so much time before."""
+    still_accel_mps2: float = Field(default=0.1, gt=0)
+    """Standard deviation of the specific force within the window, all axes, below which a car
+    stands: an idling engine shakes it by 0.01 to 0.05, a road at walking pace by 0.2 and more."""
+    still_gyro_radps: float = Field(default=0.01, gt=0)
+    """The same of the angular rate."""
+    still_speed_mps: float = Field(default=0.05, gt=0)
+    """Standard deviation of the velocity of a car at rest; wheels that show more on average are
+    believed and not the IMU."""
+    still_rate_radps: float = Field(default=5e-4, gt=0)
+    """Of its angular rate over the window, beside the gyro's noise: it rocks when people move."""
+
+
+class ClockConfig(Section):
+    """Stamps that are late, or early where negative: a measurement was true so much before."""
+
+    gnss_s: float = Field(default=0.0, ge=-60, le=60)
+    imu_s: float = Field(default=0.0, ge=-60, le=60)
+    wheel_s: float = Field(default=0.0, ge=-60, le=60)
+    estimate: Literal["none", "gnss", "imu"] = "none"
+    """Estimate, in a batch, how late the stamps of fixes or IMU are against the other's, as one
+    constant of the drive. The other's clock is that of the trajectory."""
+    sigma_s: float = Field(default=0.3, gt=0)
+    """How late they may be beforehand."""
+
+
 class SolverConfig(Section):
     """Settings of the solvers; a word alone, `--set solver=gtsam`, is that of the batch."""
 
@@ -98,6 +154,8 @@ class SmoothConfig(Section):
     """Kept with the results of simulated drives; the smoother itself draws nothing."""
     gnss: GnssConfig = GnssConfig()
     imu: ImuConfig = ImuConfig()
+    vehicle: VehicleConfig = VehicleConfig()
+    clock: ClockConfig = ClockConfig()
     solver: SolverConfig = SolverConfig()
 
 

@@ -2,7 +2,8 @@
 
 Both estimator families take the same epochs. An epoch is a keyframe (a state of the graph) where
 an aiding measurement is true, at either end of an IMU gap, and at least every
-`keyframe_interval_s`; between keyframes lie output epochs, which the IMU alone reaches.
+`keyframe_interval_s`, or as often as the vehicle is constrained; between keyframes lie output
+epochs, which the IMU alone reaches.
 """
 
 from dataclasses import dataclass
@@ -11,6 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgloc.config import SmoothConfig
+from fgloc.constraints import (
+    NON_HOLONOMIC,
+    STANDSTILL,
+    Constraints,
+    chosen_wheel_rows,
+    constraints,
+    wheel_of,
+)
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
 from fgloc.measurements import Array, GnssFixes, ImuSamples
@@ -61,9 +70,11 @@ class Epochs:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Epochs of a drive, the first verdicts on every row, and what there was to remark."""
+    """Epochs of a drive, the vehicle's constraints at them, the first verdicts on every row, and
+    what there was to remark."""
 
     epochs: Epochs
+    constraints: Constraints
     verdicts: dict[str, SourceVerdicts]
     events: tuple[Event, ...]
 
@@ -84,7 +95,9 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
     _judge_early(drive.imu, imu, first, verdicts["imu"])
     gaps = _gaps(imu, first, config.imu.gap_s)
     keyframes = _merged(gnss.t_ns[usable], gaps.ravel(), [first, last])
-    keyframes = _fill(keyframes, config.keyframe_interval_s)
+    wheel_rows = chosen_wheel_rows(drive, keyframes, config.vehicle, verdicts)
+    keyframes = _merged(keyframes, _times(drive, wheel_rows))
+    keyframes = _fill(keyframes, _keyframe_interval_s(config))
     t_ns = _fill(keyframes, config.output_interval_s)
     fix_row = np.full(len(t_ns), -1)
     fix_row[np.searchsorted(t_ns, gnss.t_ns[usable])] = usable
@@ -93,7 +106,35 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
         in_gap |= (t_ns > start) & (t_ns <= end)
     steps = _steps(imu, drive.rig.T_veh_imu[:3, :3], t_ns)
     epochs = Epochs(t_ns, np.isin(t_ns, keyframes), in_gap, fix_row, *steps)
-    return Plan(epochs, verdicts, _gap_events(gaps))
+    held = constraints(drive, imu, t_ns, epochs.is_keyframe, wheel_rows, config.vehicle)
+    _count(held, t_ns, config, verdicts)
+    return Plan(epochs, held, verdicts, _gap_events(gaps))
+
+
+def _count(
+    held: Constraints, t_ns: Instants, config: SmoothConfig, verdicts: dict[str, SourceVerdicts]
+) -> None:
+    """Constraints that nobody measured get verdicts of their own, where they are asked for."""
+    for name, asked, where in (
+        (NON_HOLONOMIC, config.vehicle.non_holonomic, held.in_force),
+        (STANDSTILL, config.vehicle.zero_velocity, held.stands),
+    ):
+        if asked:
+            at_ns = t_ns[where]
+            verdicts[name] = SourceVerdicts.at(
+                name, at_ns, at_ns, Verdict.UNUSED, "before the yaw was aligned"
+            )
+
+
+def _times(drive: Drive, wheel_rows: NDArray[np.int64]) -> Instants:
+    wheel = wheel_of(drive)
+    return np.empty(0, np.int64) if wheel is None else wheel.t_ns[wheel_rows]
+
+
+def _keyframe_interval_s(config: SmoothConfig) -> float:
+    """The vehicle's constraints need states of their own where the measurements give none."""
+    asked = config.vehicle.non_holonomic or config.vehicle.zero_velocity
+    return min(config.keyframe_interval_s, config.vehicle.interval_s if asked else np.inf)
 
 
 def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> ImuSamples:

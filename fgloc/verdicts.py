@@ -52,10 +52,17 @@ class SourceVerdicts:
         cls, source: str, table: Table, verdict: Verdict = Verdict.UNUSED, reason: str = ""
     ) -> "SourceVerdicts":
         """One verdict for all rows of a table, to be refined."""
-        n = len(table)
+        return cls.at(source, table.t_ns, table.received_ns, verdict, reason)
+
+    @classmethod
+    def at(
+        cls, source: str, t_ns: Instants, received_ns: Instants, verdict: Verdict, reason: str = ""
+    ) -> "SourceVerdicts":
+        """One verdict for all instants of a source, to be refined."""
+        n = len(t_ns)
         nan = np.full(n, np.nan)
         return cls(
-            source, table.t_ns, table.received_ns, np.full(n, verdict, object), nan.copy(),
+            source, t_ns, received_ns, np.full(n, verdict, object), nan.copy(),
             np.zeros(n, np.int64), nan.copy(), np.full(n, reason, object),
         )  # fmt: skip
 

@@ -4,20 +4,24 @@ import platform
 import time
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import Any, TypeVar
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
 from fgloc.result import Event, Result
+from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
-from fgloc.sync import Plan, plan
+from fgloc.sync import plan
 from fgloc.verdicts import counts
 
+M = TypeVar("M", bound=Model)
 METHODS = {
     "graph-batch": "batch", "graph-incremental": "incremental", "graph-lag": "fixed-lag",
 }  # fmt: skip
 """The mode behind each method's name."""
+STILL_LATE_S, MAX_SHIFTS = 1e-3, 3
+"""Stamps are shifted by their estimated lateness until less than this is left of it."""
 
 
 def smooth(drive: Drive, config: SmoothConfig) -> Result:
@@ -27,33 +31,53 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
     be solved.
     """
     began = time.perf_counter()
-    planned = plan(drive, config)
     run = _batch if config.mode == "batch" else _online
-    result = run(drive, planned, config)
+    result = run(drive, config)
     wall_s = time.perf_counter() - began
-    keyframes = planned.epochs.t_ns[planned.epochs.keyframes]
-    duration_s = float(keyframes[-1] - keyframes[0]) / 1e9
-    result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s, duration_s=duration_s)
+    duration_s = result.summary["duration_s"]
+    result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
     return result
 
 
-def _batch(drive: Drive, planned: Plan, config: SmoothConfig) -> Result:
-    model = Model(drive, planned, config)
+def _batch(drive: Drive, config: SmoothConfig) -> Result:
+    model = _model(Model, drive, config)
     run = run_batch(model)
+    in_force = config
+    for _ in range(MAX_SHIFTS):
+        if abs(run.late_s) < STILL_LATE_S:
+            break
+        # The estimate brings fixes back along a straight line: shift the stamps by it, and see what
+        # is left. A fix may then be true at another instant, so the epochs are planned anew.
+        in_force = clocks.shifted(in_force, run.late_s)
+        model = _model(Model, drive, in_force)
+        run = run_batch(model)
     summary = _summary(model, run.factors) | {"iterations": run.iterations, "cost": run.cost}
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
     summary["yaw_observable_s"] = 0.0 if known else None
+    events = [*model.plan.events, *run.events]
+    if run.late_sigma_s is not None:
+        found = clocks.shifted(in_force, run.late_s)
+        summary["clock"] = clocks.summary(found, run.late_sigma_s)
+        events.append(Event(int(model.t_ns[0]), "clock", summary["clock"]["text"]))
+    verdicts = clocks.stamped_as_read(model.plan.verdicts, drive)
     return Result(
-        run.log.trajectory(model), model.plan.verdicts, summary, summary["method"],
-        causal=False, events=model.plan.events, config=_provenance(model.config),
+        run.log.trajectory(model), verdicts, summary, summary["method"], causal=False,
+        events=_in_order(tuple(events)), config=_provenance(config),
     )  # fmt: skip
 
 
-def _online(drive: Drive, planned: Plan, config: SmoothConfig) -> Result:
+def _model(kind: type[M], drive: Drive, config: SmoothConfig) -> M:
+    """The model of a drive whose clocks are set right."""
+    drive = clocks.on_time(drive, config)
+    return kind(drive, plan(drive, config), config)
+
+
+def _online(drive: Drive, config: SmoothConfig) -> Result:
     from fgloc.smoother.graph import GraphModel
     from fgloc.smoother.online import Online
 
-    model = GraphModel(drive, planned, config)
+    clocks.refuse_estimate(config)
+    model = _model(GraphModel, drive, config)
     lag_s = config.lag_s if config.mode == "fixed-lag" else None
     online = Online(model, lag_s)
     online.run()
@@ -61,7 +85,7 @@ def _online(drive: Drive, planned: Plan, config: SmoothConfig) -> Result:
     seen = online.yaw_observable_ns
     summary["yaw_observable_s"] = None if seen is None else (seen - int(model.t_ns[0])) / 1e9
     return Result(
-        online.log.trajectory(model), model.plan.verdicts, summary,
+        online.log.trajectory(model), clocks.stamped_as_read(model.plan.verdicts, drive), summary,
         summary["method"], causal=True,
         smoothed=online.last.trajectory(model) if online.last else None,
         events=_in_order((*model.plan.events, *online.events)), config=_provenance(config),
@@ -73,9 +97,11 @@ def _summary(model: Model, factors: int) -> dict[str, Any]:
         "drive": model.drive.name,
         "method": next(m for m, mode in METHODS.items() if mode == model.config.mode),
         "mode": model.config.mode,
+        "duration_s": float(model.t_s[-1]),
         "states": len(model),
         "factors": factors,
         "counts": counts(model.plan.verdicts),
+        **({"vehicle": found} if (found := model.car.summary()) else {}),
         "origin": asdict(model.drive.origin),
     }
 

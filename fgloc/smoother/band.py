@@ -2,10 +2,12 @@
 
 A chain of n blocks of d unknowns, each tied to the next one only, has a symmetric matrix whose
 lower half lies within a band of 2 d. One banded Cholesky solves for all unknowns of an hour's drive
-in a fraction of a second, and the blocks of the inverse follow from the factor.
+in a fraction of a second, and the blocks of the inverse follow from the factor. The k unknowns that
+all blocks share stand in a border, [[H, B], [B', C]], and are solved for by its Schur complement.
 """
 
 from abc import ABC, abstractmethod
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,41 +29,60 @@ class NotPositiveError(Exception):
         self.unknown = unknown
 
 
-class Band:
-    """H (n d, n d) and gradient (n, d) of a cost: terms are added, then it is factorised in place.
+class Vector(NamedTuple):
+    """Of all unknowns: those of the blocks (n, d) and those of the border (k,)."""
 
-    `columns[j, c, k]` is H between unknown c of block j and the unknown k places after it.
+    blocks: Array
+    border: Array
+
+    def dot(self, other: "Vector") -> float:
+        """The inner product."""
+        return float((self.blocks * other.blocks).sum() + self.border @ other.border)
+
+
+class Band:
+    """Normal equations of n blocks of d unknowns and a border of k: terms are added, then solved.
+
+    `columns[j, c, i]` is H between unknown c of block j and the unknown i places after it.
     """
 
-    def __init__(self, n: int, d: int) -> None:
+    def __init__(self, n: int, d: int, k: int = 0) -> None:
         self.columns = np.zeros((n, d, 2 * d))
-        self.gradient = np.zeros((n, d))
+        self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
+        self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
 
     def portion(self, first: int, stop: int) -> "Portion":
         """Room for the terms that begin in blocks first..stop - 1; give it to `take` when full."""
-        return Portion(first, min(stop, len(self.columns)), self.columns.shape[1])
+        n, d, k = self.border.shape
+        return Portion(first, min(stop, n), d, k)
 
     def take(self, portion: "Portion") -> None:
         """Add a portion's terms."""
         n, d, width = self.columns.shape
         first, stop = portion.first, portion.stop
+        end = min(stop + 1, n)
         for c in range(d):
             self.columns[first:stop, c, : width - c] += portion.blocks[:-1, c, c:]
-        self.gradient[first:stop] += portion.gradient[:-1]
         if stop < n:
             for c in range(d):
                 self.columns[stop, c, : d - c] += portion.blocks[-1, c, c:d]
-            self.gradient[stop] += portion.gradient[-1]
+        self.border[first:end] += portion.border[: end - first]
+        self.corner += portion.corner
+        self.gradient.blocks[first:end] += portion.gradient.blocks[: end - first]
+        self.gradient.border[:] += portion.gradient.border
 
-    def factor(self, damping: Array | float, *, often: bool = False) -> "Factor":
-        """The Cholesky factor of H with a damping (d,) on each block; H may be overwritten.
+    def factor(self, damping: Vector | None = None, *, often: bool = False) -> "BorderedFactor":
+        """The Cholesky factor, with a damping (d,) and (k,) on the diagonal; H may be overwritten.
 
         `often` says that many are to come, which is worth importing scipy for. Raises
         NotPositiveError.
         """
-        self.columns[:, :, 0] += damping
+        corner = self.corner
+        if damping is not None:
+            self.columns[:, :, 0] += damping.blocks
+            corner = corner + np.diag(damping.border)
         few = len(self.columns) < MANY_BLOCKS and not often
-        return (_Blocks if few else _Lapack)(self.columns)
+        return BorderedFactor((_Blocks if few else _Lapack)(self.columns), self.border, corner)
 
 
 class Portion:
@@ -70,29 +91,72 @@ class Portion:
     `blocks` is (m + 1, d, 2 d): the last is what the terms say of the block after them.
     """
 
-    def __init__(self, first: int, stop: int, d: int) -> None:
+    def __init__(self, first: int, stop: int, d: int, k: int) -> None:
         self.first, self.stop = first, stop
-        self.blocks = np.zeros((stop - first + 1, d, 2 * d))
-        self.gradient = np.zeros((stop - first + 1, d))
+        m = stop - first + 1
+        self.blocks = np.zeros((m, d, 2 * d))
+        self.border, self.corner = np.zeros((m, d, k)), np.zeros((k, k))
+        self.gradient = Vector(np.zeros((m, d)), np.zeros(k))
 
     def add(
         self, blocks: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array
     ) -> None:
         """Add M terms: one for each of some blocks (increasing, none twice).
 
-        curvature is (M, q, q) and gradient (M, q), of the unknowns `at` (q,), increasing; they are
-        counted from the start of the block, and on into the next block from d on.
+        curvature is (M, q, q) and gradient (M, q), of the unknowns `at` (up to q,), increasing;
+        they are counted from the start of the block, and on into the next block from d on. If q is
+        more, the rest are the border's k.
         """
-        d = self.gradient.shape[1]
-        n = int(np.searchsorted(at, d))
-        rows, here = blocks - self.first, at[:n]
-        _add(self.blocks, (rows, here, here), curvature[:, :n, :n])
-        _add(self.gradient, (rows, here), gradient[:, :n])
-        if n < len(at):
-            after = at[n:] - d
-            _add(self.blocks, (rows, here, at[n:]), curvature[:, :n, n:])
-            _add(self.blocks, (rows + 1, after, after), curvature[:, n:, n:])
-            _add(self.gradient, (rows + 1, after), gradient[:, n:])
+        d = self.gradient.blocks.shape[1]
+        n, m = int(np.searchsorted(at, d)), len(at)
+        rows, here, after = blocks - self.first, at[:n], at[n:]
+        if n:
+            self._add(rows, here, curvature[:, :n], gradient[:, :n], here, slice(n), m)
+        if n < m:
+            _add(self.blocks, (rows, here, after), curvature[:, :n, n:m])
+            part = slice(n, m)
+            self._add(rows + 1, after - d, curvature[:, n:m], gradient[:, n:m], after - d, part, m)
+        if m < curvature.shape[1]:
+            self.corner += curvature[:, m:, m:].sum(0)
+            self.gradient.border[:] += gradient[:, m:].sum(0)
+
+    def _add(
+        self, rows: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array,
+        columns: NDArray[np.int64], part: slice, m: int,
+    ) -> None:  # fmt: skip
+        """One block's own share of the terms, and what ties it to the border."""
+        _add(self.blocks, (rows, at, columns), curvature[:, :, part])
+        _add(self.gradient.blocks, (rows, at), gradient)
+        if m < curvature.shape[2]:
+            border = np.arange(self.corner.shape[0])
+            _add(self.border, (rows, at, border), curvature[:, :, m:])
+
+
+class BorderedFactor:
+    """The factor of a band and the Schur complement of its border."""
+
+    def __init__(self, factor: "Factor", border: Array, corner: Array) -> None:
+        self._factor, self._border = factor, border
+        n, d, k = border.shape
+        self._carried = factor.solve(border) if k else border
+        schur = corner - np.tensordot(border, self._carried, ((0, 1), (0, 1)))
+        try:
+            np.linalg.cholesky(schur)
+        except np.linalg.LinAlgError as err:
+            raise NotPositiveError(n * d) from err
+        self.cov_border = np.linalg.inv(schur)
+
+    def solve(self, right: Vector) -> Vector:
+        """x of [[H, B], [B', C]] x = right."""
+        x = self._factor.solve(right.blocks[..., None])[..., 0]
+        y = self.cov_border @ (right.border - np.tensordot(self._border, x, ((0, 1), (0, 1))))
+        return Vector(x - self._carried @ y, y)
+
+    def inverse_blocks(self, keep: NDArray[np.int64]) -> Array:
+        """Rows and columns `keep` (q,) of the n diagonal blocks of the inverse, (n, q, q)."""
+        own = self._factor.inverse_blocks(len(self._border), keep)
+        carried = self._carried[:, keep]
+        return own + carried @ self.cov_border @ carried.swapaxes(-1, -2)
 
 
 class Factor(ABC):
@@ -100,7 +164,7 @@ class Factor(ABC):
 
     @abstractmethod
     def solve(self, right: Array) -> Array:
-        """x (n, d) of H x = right (n, d)."""
+        """X (n, d, k) of H X = right (n, d, k)."""
 
     @abstractmethod
     def blocks(self, rows: slice) -> tuple[Array, Array]:
@@ -144,8 +208,9 @@ class _Lapack(Factor):
         from scipy.linalg import lapack
 
         n, d, width = self.columns.shape
-        x, _ = lapack.dpbtrs(self.columns.reshape(n * d, width).T, right.reshape(-1, 1), lower=1)
-        return x.reshape(n, d)
+        columns = right.reshape(n * d, -1)
+        x, _ = lapack.dpbtrs(self.columns.reshape(n * d, width).T, columns, lower=1)
+        return x.reshape(right.shape)
 
     def blocks(self, rows: slice) -> tuple[Array, Array]:
         L = _unfolded(self.columns[rows])
@@ -178,8 +243,8 @@ class _Blocks(Factor):
             carried = self._across[j] @ y[j]
         carried = 0.0
         for j in reversed(range(len(y))):
-            y[j] = (y[j] - carried) @ self._inverse[j]
-            carried = y[j] @ self._across[j - 1]
+            y[j] = self._inverse[j].T @ (y[j] - carried)
+            carried = self._across[j - 1].T @ y[j]
         return y
 
     def blocks(self, rows: slice) -> tuple[Array, Array]:

@@ -1,23 +1,28 @@
 """The whole drive at once: guess, solve, gate what does not fit, and solve again."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.errors import SolverError
+from fgloc.errors import ConfigError, SolverError
 from fgloc.factors import gnss, imu, noise
 from fgloc.measurements import Array
+from fgloc.result import Event
 from fgloc.smoother.chain import Chain
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, misfit, stretch
 from fgloc.smoother.model import Model
-from fgloc.smoother.states import StateLog, States, yaw_sigma_rad
+from fgloc.smoother.states import Robustness, StateLog, States, yaw_sigma_rad
 from fgloc.verdicts import Verdict
 
 MAX_ROUNDS = 5
 """Gating is repeated until no verdict changes, at most this often."""
+MOST_OUTLIERS = 0.1
+"""Gate and loss may act on this share of the fixes. Where more do not fit, it is the noise that is
+claimed too small, of the fixes or of the IMU, and both are widened: a gate that believed the noise
+would drop good fixes."""
 
 
 class Solver(Protocol):
@@ -30,22 +35,30 @@ class Solver(Protocol):
     def first(self, n: int) -> "Solver":
         """The same for the first n keyframes alone."""
 
-    def optimum(self, states: States, gated: NDArray[np.bool_]) -> tuple[States, float, int]:
-        """The states of least cost without the gated fixes, that cost and the iterations."""
+    def optimum(
+        self, states: States, robust: Robustness, *, rough: bool = False
+    ) -> tuple[States, float, int]:
+        """The states of least cost, that cost and the iterations; `rough` may stop when near."""
 
-    def covariances(self, states: States, gated: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
+
+    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
+        """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
 
 
 @dataclass(eq=False)
 class BatchRun:
-    """A solved drive: states of all epochs, and what the solver did."""
+    """A solved drive: states of all epochs, what the solver did, and what there is to remark."""
 
     log: StateLog
     factors: int
     iterations: int
     cost: float
     yaw_sigma_rad: float
+    events: tuple[Event, ...]
+    late_s: float
+    late_sigma_s: float | None
 
 
 def run_batch(model: Model) -> BatchRun:
@@ -54,37 +67,82 @@ def run_batch(model: Model) -> BatchRun:
     A fix's NIS is that of leaving it out: the fix against all other measurements. Raises
     SolverError where the graph cannot be solved.
     """
-    at = model.epoch_of
     deltas, inner = model.deltas()
     start = guess(model, 0, len(model) - 1, gyro_yaw(model))
     solver = _solver(model, start, deltas)
     keys = np.flatnonzero(model.fix_of >= 0)
-    gated = np.zeros(len(keys), bool)
-    states, cost, iterations = solver.optimum(States.of(start), gated)
+    states, robust, cost, iterations = _settle(model, solver, States.of(start), keys)
     if cost > misfit(len(keys)):
         turned = _turned(model, solver, start)
         if turned is not start:
-            states, cost, iterations = solver.optimum(States.of(turned), gated)
+            states, robust, cost, iterations = _settle(model, solver, States.of(turned), keys)
+    gate_nis = 0.0
     for rounds in range(1, MAX_ROUNDS + 1):
-        cov, P = solver.covariances(states, gated)
-        nis, weight = _leave_one_out(model, states, P, keys, gated)
-        beyond = nis > model.gate_nis
-        if np.array_equal(beyond, gated) or rounds == MAX_ROUNDS:
+        cov, P = solver.covariances(states, robust)
+        nis, weight = _leave_one_out(model, states, P, keys, robust)
+        gate_nis = gate_nis or _widened(model.gate_nis, nis)
+        beyond = nis > gate_nis
+        if np.array_equal(beyond, robust.gated) or rounds == MAX_ROUNDS:
             break
-        gated = beyond
-        states, cost, count = solver.optimum(states, gated)
+        robust = replace(robust, gated=beyond)
+        states, cost, count = solver.optimum(states, robust)
         iterations += count
-    _judge(model, keys, gated, nis, weight)
+    _judge(model, keys, robust, nis, gate_nis, weight)
+    model.car.judge(states.R, states.v, states.bias, states.calibration)
     log = _log(model, states, cov)
     fill(log, model, states.bias, deltas, inner)
-    sigma = yaw_sigma_rad(log.R[at[0]], log.cov[at[0], :3, :3])
-    return BatchRun(log, solver.factors - int(gated.sum()), iterations, cost, sigma)
+    begin = model.epoch_of[0]
+    sigma = yaw_sigma_rad(log.R[begin], log.cov[begin, :3, :3])
+    factors = solver.factors - int(robust.gated.sum())
+    return BatchRun(
+        log, factors, iterations, cost, sigma, _remarks(model, robust, gate_nis), states.late_s,
+        solver.late_sigma_s(states, robust),
+    )  # fmt: skip
+
+
+def _settle(
+    model: Model, solver: Solver, states: States, keys: NDArray[np.int64]
+) -> tuple[States, Robustness, float, int]:
+    """The optimum from a guess, and the loss that it took: first none, to come near.
+
+    From afar every fix is an outlier, and a loss has no curvature to steer by.
+    """
+    nothing = np.zeros(len(keys), bool)
+    states, cost, iterations = solver.optimum(
+        states, Robustness(nothing, np.inf, plain=True), rough=True
+    )
+    width = np.inf
+    if model.config.gnss.loss != "none" and not model.has_gnss_bias:
+        norm = np.sqrt(noise.nis(fix_errors(model, states, keys), model.cov_of_fixes(keys)))
+        width = _widened(model.config.gnss.loss_width, norm)
+    robust = Robustness(nothing, width)
+    states, cost, more = solver.optimum(states, robust)
+    return states, robust, cost, iterations + more
+
+
+def _widened(threshold: float, values: Array) -> float:
+    """The threshold, or what `MOST_OUTLIERS` of the values exceed if that is more."""
+    return max(threshold, float(np.quantile(values, 1 - MOST_OUTLIERS)))
+
+
+def _remarks(model: Model, robust: Robustness, gate_nis: float) -> tuple[Event, ...]:
+    """What a user should know where the noise is not what the drive says."""
+    texts = []
+    loss_width = model.config.gnss.loss_width
+    if loss_width < robust.loss_width < np.inf:
+        texts.append(f"loss from {robust.loss_width:.3g} on instead of {loss_width:g}")
+    if gate_nis > model.gate_nis:
+        texts.append(f"gate at an NIS of {gate_nis:.3g} instead of {model.gate_nis:.3g}")
+    text = f"noise is claimed too small: more than {MOST_OUTLIERS:.0%} of the fixes do not fit it; "
+    return (Event(int(model.t_ns[0]), "noise", text + ", ".join(texts)),) if texts else ()
 
 
 def _solver(model: Model, prior: Guess, deltas: imu.ImuDeltas) -> Solver:
     """The chain, unless the configuration asks for GTSAM."""
     if model.config.solver.batch == "banded":
         return Chain(model, prior, deltas)
+    if model.config.clock.estimate != "none":
+        raise ConfigError("clock.estimate goes with solver.batch = banded, not with gtsam")
     from fgloc.smoother.graph import GraphModel
     from fgloc.smoother.whole import Whole
 
@@ -94,17 +152,28 @@ def _solver(model: Model, prior: Guess, deltas: imu.ImuDeltas) -> Solver:
 def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
     """The guess turned to the heading that fits; see `choose_yaw`."""
     n = stretch(start)
-    fixes = int((model.fix_of[:n] >= 0).sum())
-    begin, nothing = solver.first(n), np.zeros(fixes, bool)
+    keys = np.flatnonzero(model.fix_of[:n] >= 0)
+    begin = solver.first(n)
 
     def cost(turned: Guess) -> float:
-        return begin.optimum(States.of(turned).first(n), nothing)[1]
+        return _settle(model, begin, States.of(turned).first(n), keys)[2]
 
-    return choose_yaw(start, fixes, cost)
+    return choose_yaw(start, len(keys), cost)
+
+
+def fix_errors(model: Model, states: States, keys: NDArray[np.int64]) -> Array:
+    """Predicted minus measured antenna positions (n, 3) of the fixes at some keyframes, ENU m."""
+    z = model.fixes.p_world_ant_m[model.fix_of[keys]]
+    p, R, bias = states.p[keys], states.R[keys], states.gnss_bias[keys]
+    told = gnss.residual(p, R, z, model.lever, bias)
+    if not states.late_s:
+        return told.error
+    rate = model.epochs.rate_radps[model.epoch_of[keys]] - states.bias[keys, 3:]
+    return gnss.late_residual(told, R, states.v[keys], rate, model.lever, states.late_s).error
 
 
 def _leave_one_out(
-    model: Model, states: States, P: Array, keys: NDArray[np.int64], gated: NDArray[np.bool_]
+    model: Model, states: States, P: Array, keys: NDArray[np.int64], robust: Robustness
 ) -> tuple[Array, Array]:
     """NIS (n,) of every fix against all others, and its weight (n,) under the robust loss.
 
@@ -112,16 +181,12 @@ def _leave_one_out(
     the residual, the prediction without the fix has the error R_w (R_w - P)^-1 r and the
     covariance R_w (R_w - P)^-1 R_w - R_w. NIS is 0 where the fix is all that holds the state.
     """
-    R_fix, c = model.cov_of_fixes(keys), model.config.gnss
-    z = model.fixes.p_world_ant_m[model.fix_of[keys]]
-    error = gnss.residual(
-        states.p[keys], states.R[keys], z, model.lever, states.gnss_bias[keys]
-    ).error
+    R_fix, error = model.cov_of_fixes(keys), fix_errors(model, states, keys)
     whitened = np.sqrt(noise.nis(error, R_fix))
-    loss = "none" if model.has_gnss_bias else c.loss
-    weight = noise.weight(whitened, loss, c.loss_width)
+    loss = model.config.gnss.loss if np.isfinite(robust.loss_width) else "none"
+    weight = noise.weight(whitened, loss, robust.loss_width)
     R_w = R_fix / weight[:, None, None]
-    kept = ~gated
+    kept = ~robust.gated
     spread, left_out = P.copy(), error.copy()
     rest = R_w[kept] - P[kept]
     gain = R_w[kept] @ np.linalg.inv(rest)
@@ -134,15 +199,16 @@ def _leave_one_out(
 
 
 def _judge(
-    model: Model, keys: NDArray[np.int64], gated: NDArray[np.bool_], nis: Array, weight: Array
-) -> None:
+    model: Model, keys: NDArray[np.int64], robust: Robustness, nis: Array, gate_nis: float,
+    weight: Array,
+) -> None:  # fmt: skip
     """Write the verdicts on the fixes that had a keyframe."""
     verdicts, rows = model.plan.verdicts["gnss"], model.fix_of[keys]
-    verdicts.nis[rows], verdicts.dof[rows], verdicts.threshold[rows] = nis, 3, model.gate_nis
+    verdicts.nis[rows], verdicts.dof[rows], verdicts.threshold[rows] = nis, 3, gate_nis
     verdicts.set(rows, Verdict.USED)
     for row, w in zip(rows[weight < 1], weight[weight < 1], strict=True):
         verdicts.set(row, Verdict.DOWN_WEIGHTED, f"{model.config.gnss.loss} weight {w:.3g}")
-    verdicts.set(rows[gated], Verdict.GATED, "does not fit all other measurements")
+    verdicts.set(rows[robust.gated], Verdict.GATED, "does not fit all other measurements")
 
 
 def _log(model: Model, states: States, cov: Array) -> StateLog:

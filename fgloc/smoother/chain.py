@@ -1,138 +1,100 @@
-"""The graph of a drive as a chain: all factors' residuals at once, in numpy, and its optimum.
+"""The graph of a drive as a chain: its optimum, and the covariance there, from a banded system."""
 
-The cost is that of the graph which `graph.py` builds for GTSAM; a test holds the two together. A
-block of unknowns belongs to each keyframe: pose (rotation, then translation, in the vehicle frame),
-velocity, IMU bias, and the GNSS bias where there is one. A bias that several keyframes share is
-kept once for each of them; the curvature sees a walk of next to nothing between the copies, the
-cost none, so that the optimum is exact.
-"""
-
-from collections.abc import Iterator
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgloc.errors import SolverError
-from fgloc.factors import gnss, imu, noise
-from fgloc.frames import exp_so3, log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
+from fgloc.factors import noise
+from fgloc.frames import exp_so3
 from fgloc.measurements import Array
-from fgloc.smoother.band import Band, NotPositiveError
-from fgloc.smoother.guess import Guess
-from fgloc.smoother.model import (
-    LEVEL_SIGMA_RAD,
-    POSITION_SIGMA_M,
-    SPEED_SIGMA_MPS,
-    YAW_SIGMA_RAD,
-    Model,
-)
-from fgloc.smoother.newton import Curvature, descend
-from fgloc.smoother.states import States
+from fgloc.smoother.band import Band, NotPositiveError, Vector
+from fgloc.smoother.newton import NEAR, Curvature, Descent
+from fgloc.smoother.states import Robustness, States
+from fgloc.smoother.terms import BIAS, GNSS_BIAS, POSE, VELOCITY, Term, Terms
 from fgloc.timing import iso_utc
 
-POSE, VELOCITY, BIAS, GNSS_BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15), np.arange(15, 18)
-STATE = np.arange(9)
-COPY_SHARE = 1e-5
-"""Of a bias step's variance, the part that the curvature gives to each copy within an interval."""
 BLOCKS_AT_ONCE = 1024
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
-class Term(NamedTuple):
-    """M factors of one kind: whitened errors (M, m) and Jacobians (M, m, q).
-
-    blocks  (M,) the keyframe that each begins at
-    at      (q,) the unknowns it depends on, counted from that keyframe's first
-    robust  whether the GNSS loss lies on it
-    """
-
-    blocks: NDArray[np.int64]
-    at: NDArray[np.int64]
-    error: Array
-    jacobian: Array
-    robust: bool = False
-
-
-class Chain:
+class Chain(Terms):
     """The first n keyframes of a model, ready to be solved."""
 
-    def __init__(self, model: Model, prior: Guess, deltas: imu.ImuDeltas) -> None:
-        """`deltas` has a row for each interval; the prior lies level around the guess's first."""
-        n = len(deltas.dt_s) + 1
-        self.model, self.deltas, self.n, self._prior = model, deltas, n, prior
-        self.bias_of = model.bias_of[:n]
-        self.width = 18 if model.has_gnss_bias else 15
-        self.fixed = np.flatnonzero(model.fix_of[:n] >= 0)
-        self._prior_R = yaw_matrix(yaw_of(prior.R_world_veh[:1]))
-        self._whiten_imu = np.linalg.inv(np.linalg.cholesky(deltas.cov))
-        self._whiten_fix = np.linalg.inv(np.linalg.cholesky(model.cov_of_fixes(self.fixed)))
-
     @cached_property
-    def damping(self) -> Array:
-        """One over the square of a large change: 1 rad, 1 m, 1 m/s, a bias's prior sigma (d,).
+    def damping(self) -> Vector:
+        """One over the square of a large change: 1 rad, 1 m, 1 m/s, a bias's prior sigma.
 
         Not in proportion to the curvature: keyframes are tied so stiffly to each other that this
         would hold back a turn of them all.
         """
-        scale = (
-            [1.0] * 9 + self.model.bias_sigmas.tolist() + [self.model.config.gnss.bias_sigma_m] * 3
-        )
-        return np.array(scale[: self.width]) ** -2
-
-    @property
-    def factors(self) -> int:
-        """How many measurements, steps and priors there are, a bias's copies not counted."""
-        chains = 2 if self.width > 15 else 1
-        steps = (self.n - 1) * chains + int(self.bias_of[-1])
-        return 3 + chains + steps + len(self.fixed)
+        biases = [*self.model.bias_sigmas, *[self.model.config.gnss.bias_sigma_m] * 3]
+        scale = np.array([1.0] * 9 + biases)[: self.width]
+        v = self.model.config.vehicle
+        calibration = np.array([v.mounting_sigma_rad] * 2 + [v.scale_sigma])
+        border = np.ones(self.shared)
+        if self.model.car.acts:
+            border[self.car_at] = calibration**-2
+        return Vector(scale**-2, border)
 
     def first(self, n: int) -> "Chain":
         """The same for the first n keyframes alone."""
         return Chain(self.model, self._prior, self.deltas.take(slice(n - 1)))
 
-    def optimum(self, states: States, gated: NDArray[np.bool_]) -> tuple[States, float, int]:
-        """The states of least cost, that cost and the iterations; `gated` (fixes,) are left out.
+    def optimum(
+        self, states: States, robust: Robustness, *, rough: bool = False
+    ) -> tuple[States, float, int]:
+        """The states of least cost, that cost and the iterations; `rough` stops when near.
 
         Raises SolverError that names the state and its time.
         """
+        solver = self.model.config.solver
+        descent = Descent(self, robust, solver.max_iterations)
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                solved = descend(self, states, gated, self.model.config.solver)
+                result, cost = descent.run(states, solver.cost_tolerance, NEAR if rough else 0.0)
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
-        if not np.isfinite(solved[1]):
+        if not np.isfinite(cost):
             far = np.abs(self._fix_residual(states).error).max(-1)
             raise self._failure(int(self.fixed[np.nanargmax(far)]) * self.width)
-        return solved
+        return result, cost, descent.iterations
 
-    def moved(self, states: States, step: Array) -> States:
-        """The states after a step (n, d) in their tangents; copies of a bias stay alike."""
+    def moved(self, states: States, back: Vector) -> States:
+        """The states after a step back along a vector of their tangents; copies stay alike."""
+        step = -back.blocks
         first = np.searchsorted(self.bias_of, self.bias_of)
+        calibration = states.calibration
+        if self.model.car.acts:
+            calibration = calibration - back.border[self.car_at]
         return States(
             states.R @ exp_so3(step[:, :3]),
             states.p + np.einsum("nij,nj->ni", states.R, step[:, 3:6]),
             states.v + step[:, VELOCITY],
             states.bias + step[first][:, BIAS],
             states.gnss_bias + step[:, GNSS_BIAS] if self.width > 15 else states.gnss_bias,
+            states.late_s - float(back.border[self.late].sum()),
+            states.calibration - back.border[self.car_at]
+            if self.model.car.acts
+            else states.calibration,
         )
 
     def linearize(
-        self, states: States, gated: NDArray[np.bool_], curvature: Curvature
+        self, states: States, robust: Robustness, curvature: Curvature
     ) -> tuple[float, Band]:
         """The cost at some states, half a sum of squares under the loss, and its normal equations.
 
-        "plain" leaves the loss out of both. Else the curvature is that of "newton", which converges
-        in a few steps once it is near, or of reweighted least squares ("weights"), which never
-        climbs far and is what covariances are taken from.
+        Under a loss the curvature is that of "newton", which converges in a few steps once it is
+        near, or of reweighted least squares ("weights"), which never climbs far and is what
+        covariances are taken from.
         """
-        cost, band = 0.0, Band(self.n, self.width)
+        cost, band = 0.0, Band(self.n, self.width, self.shared)
         for first in range(0, self.n, BLOCKS_AT_ONCE):
             portion = band.portion(first, first + BLOCKS_AT_ONCE)
-            for term in self._terms(states, gated, portion.first, portion.stop):
+            for term in self.at(states, robust, portion.first, portion.stop):
                 J, e = term.jacobian, term.error
-                if term.robust and curvature != "plain":
-                    value, across, along = self._loss(e)
+                if term.loss != "none" and term.width < np.inf and not robust.plain:
+                    value, across, along = _loss(term)
                     gradient = np.matmul((e * across)[:, None], J)[:, 0]
                     J = _bent(J, e, across, along if curvature == "newton" else across)
                 else:
@@ -141,7 +103,7 @@ class Chain:
                 cost += value
                 portion.add(term.blocks, term.at, J.swapaxes(-1, -2) @ J, gradient)
             band.take(portion)
-        self._share_biases(band.gradient)
+        self._share_biases(band.gradient.blocks)
         return cost, band
 
     def _share_biases(self, gradient: Array) -> None:
@@ -151,12 +113,12 @@ class Chain:
         gradient[:, BIAS] = 0
         gradient[first[:, None], BIAS] = total
 
-    def covariances(self, states: States, gated: NDArray[np.bool_]) -> tuple[Array, Array]:
+    def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
-        _, band = self.linearize(states, gated, "weights")
+        _, band = self.linearize(states, robust, "weights")
         keep = np.append(POSE, GNSS_BIAS) if self.width > 15 else POSE
         try:
-            cov = band.factor(0.0).inverse_blocks(self.n, keep)
+            cov = band.factor().inverse_blocks(keep)
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
         H = self._fix_residual(states).by_pose
@@ -164,116 +126,19 @@ class Chain:
             H = np.concatenate([H, np.broadcast_to(np.eye(3), (len(H), 3, 3))], -1)
         return cov[:, :6, :6], H @ cov[self.fixed] @ H.swapaxes(-1, -2)
 
-    def _terms(
-        self, states: States, gated: NDArray[np.bool_], first: int, stop: int
-    ) -> Iterator[Term]:
-        """The factors that begin at keyframes first..stop - 1."""
-        if first == 0:
-            yield from self._priors(states)
-        intervals = slice(first, min(stop, self.n - 1))
-        if intervals.start < intervals.stop:
-            yield self._motion(states, intervals)
-            yield from self._bias_steps(states, intervals)
-        within = slice(*np.searchsorted(self.fixed, [first, stop]))
-        kept = np.arange(within.start, within.stop)[~gated[within]]
-        if len(kept):
-            yield self._fixes(states, kept)
-
-    def _priors(self, states: States) -> Iterator[Term]:
-        """What is known of keyframe 0 before any measurement."""
-        first, c = np.array([0]), self.model.config.gnss
-        R, p = states.R[:1], states.p[:1]
-        turn = log_so3(self._prior_R.swapaxes(-1, -2) @ R)
-        tilt = np.array([LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, YAW_SIGMA_RAD])
-        yield Term(first, POSE[:3], turn / tilt, right_jacobian_inverse_so3(turn) / tilt[:, None])
-        yield Term(first, POSE[3:], (p - self.model.first_fix_m) / POSITION_SIGMA_M,
-                   R / POSITION_SIGMA_M)  # fmt: skip
-        for at, value, sigma in (
-            (VELOCITY, states.v[:1], [SPEED_SIGMA_MPS] * 3),
-            (BIAS, states.bias[:1], self.model.bias_sigmas),
-            (GNSS_BIAS, states.gnss_bias[:1], [c.bias_sigma_m] * 3),
-        ):
-            if at[-1] < self.width:
-                yield Term(first, at, value / sigma, np.diag(1 / np.array(sigma))[None])
-
-    def _motion(self, states: States, rows: slice) -> Term:
-        """The IMU between keyframes j and j + 1, for the j of a slice."""
-        W, following = self._whiten_imu[rows], slice(rows.start + 1, rows.stop + 1)
-        told = imu.residual(
-            self.deltas.take(rows), (states.R[rows], states.p[rows], states.v[rows]),
-            (states.R[following], states.p[following], states.v[following]), states.bias[rows],
-            self.model.gravity_mps2,
-        )  # fmt: skip
-        J = np.concatenate([told.by_pose_i, told.by_velocity_i, told.by_bias, told.by_pose_j,
-                            told.by_velocity_j], -1)  # fmt: skip
-        at = np.concatenate([STATE, BIAS, self.width + STATE])
-        return Term(np.arange(rows.start, rows.stop), at, _whitened(W, told.error), W @ J)
-
-    def _bias_steps(self, states: States, rows: slice) -> Iterator[Term]:
-        """The walk of the IMU's bias from keyframe to keyframe, and that of GNSS's bias."""
-        following = slice(rows.start + 1, rows.stop + 1)
-        change = states.bias[following] - states.bias[rows]
-        yield self._step_term(rows, BIAS, change, np.ones(len(change)), self._bias_sigmas[rows])
-        if self.width > 15:
-            phi, sigma = (column[rows] for column in self._gnss_walk)
-            change = states.gnss_bias[following] - phi[:, None] * states.gnss_bias[rows]
-            yield self._step_term(rows, GNSS_BIAS, change, phi, np.repeat(sigma[:, None], 3, 1))
-
-    def _step_term(
-        self, rows: slice, at: NDArray[np.int64], change: Array, phi: Array, sigma: Array
-    ) -> Term:
-        """x_j+1 - phi x_j ~ N(0, sigma^2) for unknowns `at`; phi is (m,), the others (m, q)."""
-        eye = np.eye(len(at))
-        back = -phi[:, None, None] * eye
-        J = np.concatenate([back, np.broadcast_to(eye, back.shape)], -1) / sigma[..., None]
-        blocks = np.arange(rows.start, rows.stop)
-        return Term(blocks, np.append(at, self.width + at), change / sigma, J)
-
-    def _fixes(self, states: States, kept: NDArray[np.int64]) -> Term:
-        """Those fixes, counted among the chain's own."""
-        told, W = self._fix_residual(states, kept), self._whiten_fix[kept]
-        J, at = W @ told.by_pose, POSE
-        if self.width > 15:
-            J, at = np.concatenate([J, W], -1), np.append(POSE, GNSS_BIAS)
-        error = _whitened(W, told.error)
-        return Term(self.fixed[kept], at, error, J, robust=not self.model.has_gnss_bias)
-
-    def _fix_residual(
-        self, states: States, rows: NDArray[np.int64] | slice = slice(None)
-    ) -> gnss.GnssResidual:
-        at = self.fixed[rows]
-        z = self.model.fixes.p_world_ant_m[self.model.fix_of[at]]
-        return gnss.residual(states.p[at], states.R[at], z, self.model.lever, states.gnss_bias[at])
-
-    def _loss(self, error: Array) -> tuple[float, Array, Array]:
-        """Cost of whitened fixes, and the weights (M, 1) of their errors across and along them."""
-        c = self.model.config.gnss
-        norm = np.linalg.norm(error, axis=-1, keepdims=True)
-        cost, across, along = (
-            f(norm, c.loss, c.loss_width) for f in (noise.cost, noise.weight, noise.curvature)
-        )
-        return float(cost.sum()), across, along
-
-    @cached_property
-    def _bias_sigmas(self) -> Array:
-        """(n - 1, 6): of a real step where a bias begins, of next to nothing between copies."""
-        begins = np.diff(self.bias_of) > 0
-        t_s, last_s = self.model.bias_t_s, self.model.config.imu.bias_interval_s
-        length_s = np.diff(t_s, append=t_s[-1] + last_s)[self.bias_of[:-1]]
-        walk = imu.bias_walk_sigmas(self.model.noise, 1.0) * np.sqrt(length_s)[:, None]
-        return np.where(begins[:, None], walk, np.sqrt(COPY_SHARE) * walk)
-
-    @cached_property
-    def _gnss_walk(self) -> tuple[Array, Array]:
-        """phi and sigma in m (n - 1,) of the GNSS bias over the intervals."""
-        c = self.model.config.gnss
-        pairs = [gnss.bias_transition(dt, c.bias_sigma_m, c.bias_tau_s)
-                 for dt in np.diff(self.model.t_s[: self.n]).tolist()]  # fmt: skip
-        phi, sigma = np.array(pairs).T
-        return phi, sigma
+    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
+        """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
+        if not self.late.stop:
+            return None
+        _, band = self.linearize(states, robust, "weights")
+        return float(np.sqrt(band.factor().cov_border[0, 0]))
 
     def _failure(self, unknown: int) -> SolverError:
         """What to say where the normal equations cannot be solved."""
+        if unknown >= self.n * self.width:
+            return SolverError(
+                "the solver failed at what the drive shares: a lateness or a calibration"
+            )
         j, i = divmod(unknown, self.width)
         name = ("attitude", "position", "velocity", "accelerometer bias", "gyro bias",
                 "GNSS bias")[i // 3]  # fmt: skip
@@ -285,8 +150,13 @@ class Chain:
         )
 
 
-def _whitened(W: Array, error: Array) -> Array:
-    return np.einsum("nij,nj->ni", W, error)
+def _loss(term: Term) -> tuple[float, Array, Array]:
+    """Cost of a term under its loss, and the weights (M, 1) of its errors across and along them."""
+    norm = np.linalg.norm(term.error, axis=-1, keepdims=True)
+    cost, across, along = (
+        f(norm, term.loss, term.width) for f in (noise.cost, noise.weight, noise.curvature)
+    )
+    return float(cost.sum()), across, along
 
 
 def _bent(J: Array, error: Array, across: Array, along: Array) -> Array:

@@ -2,7 +2,8 @@
 
 Batch, incremental and fixed lag all build their graphs here. Keyframe j has a pose X(j) and a
 velocity V(j) as `model.py` says. Biases B(m) are shared; with a GNSS bias each fix adds an antenna
-point A(j) and a bias C(j), and L(0) is the lever arm.
+point A(j) and a bias C(j), and L(0) is the lever arm. What the vehicle's constraints add is in
+`native_car.py`.
 """
 
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from fgloc.smoother.model import (
     SPEED_SIGMA_MPS,
     Model,
 )
+from fgloc.smoother.native_car import NativeCar
 from fgloc.smoother.tree import Thresholds
 from fgloc.sync import Plan
 
@@ -55,9 +57,14 @@ class Interval:
 class GraphModel(Model):
     """A model that builds its factors."""
 
+    car: NativeCar
+
     def __init__(self, drive: Drive, plan: Plan, config: SmoothConfig) -> None:
         super().__init__(drive, plan, config)
-        self._fix_noises: dict[bytes, Any] = {}
+        self._fix_noises: dict[tuple[bytes, float], Any] = {}
+
+    def _car(self) -> NativeCar:
+        return NativeCar(self.drive, self.plan, self.config, self.bias_of, self.noise)
 
     @cached_property
     def thresholds(self) -> Thresholds:
@@ -104,7 +111,7 @@ class GraphModel(Model):
             gtsam.PriorFactorConstantBias(
                 B(self.bias_of[j]), gtsam.imuBias.ConstantBias(), diagonal(self.bias_sigmas)
             ),
-            *self._lever_prior(),
+            *self._shared_priors(),
         ]
 
     def carried_prior_factors(self, j: int, state: State, cov: Array) -> Factors:
@@ -114,7 +121,7 @@ class GraphModel(Model):
             gtsam.PriorFactorPose3(X(j), state.pose, full(cov[:6, :6])),
             gtsam.PriorFactorVector(V(j), state.velocity, full(cov[6:9, 6:9])),
             gtsam.PriorFactorConstantBias(B(self.bias_of[j]), state.bias, full(cov[9:, 9:])),
-            *self._lever_prior(),
+            *self._shared_priors(),
         ]
 
     def motion_factors(self, j: int, pim: gtsam.PreintegratedImuMeasurements) -> Factors:
@@ -128,22 +135,24 @@ class GraphModel(Model):
             factors.append(gtsam.BetweenFactorConstantBias(B(b), B(b + 1), still, walk))
         return factors
 
-    def fix_factors(self, j: int) -> Factors:
-        """The GNSS fix at keyframe j."""
+    def fix_factors(self, j: int, loss_width: float | None = None) -> Factors:
+        """The GNSS fix at keyframe j; without a width of the loss, the configuration's."""
         row = self.fix_of[j]
-        z, model = self.fixes.p_world_ant_m[row], self._fix_noise(row)
+        z = self.fixes.p_world_ant_m[row]
+        model = self._fix_noise(row, loss_width or self.config.gnss.loss_width)
         if not self.has_gnss_bias:
             return [gnss.position_factor(X(j), z, self.lever, model)]
         return gnss.biased_position_factors(X(j), A(j), L(0), C(j), z, model)
 
-    def _fix_noise(self, row: int) -> Any:
+    def _fix_noise(self, row: int, width: float) -> Any:
         """The noise model of a fix, built once for all rows of the same covariance."""
-        cov, c = self.cov_world_m2[row], self.config.gnss
-        known = self._fix_noises.get(key := cov.tobytes())
+        cov = self.cov_world_m2[row]
+        known = self._fix_noises.get(key := (cov.tobytes(), width))
         if known is None and self.has_gnss_bias:
             known = gtsam.noiseModel.Diagonal.Variances(np.diagonal(cov))
         elif known is None:
-            known = noise.robust(noise.gaussian(cov), c.loss, c.loss_width)
+            loss = self.config.gnss.loss if np.isfinite(width) else "none"
+            known = noise.robust(noise.gaussian(cov), loss, width)
         self._fix_noises = {key: known}
         return known
 
@@ -175,12 +184,19 @@ class GraphModel(Model):
         """Put in the variables that all keyframes share."""
         if self.has_gnss_bias:
             values.insert(L(0), self.lever)
+        self.car.insert_shared(values)
 
-    def _lever_prior(self) -> Factors:
+    @property
+    def shared_keys(self) -> list[int]:
+        """The variables that all keyframes share."""
+        return [L(0), *self.car.keys] if self.has_gnss_bias else self.car.keys
+
+    def _shared_priors(self) -> Factors:
         if not self.has_gnss_bias:
-            return []
+            return self.car.prior_factors()
         tight = gtsam.noiseModel.Isotropic.Sigma(3, LEVER_SIGMA_M)
-        return [gtsam.PriorFactorPoint3(L(0), self.lever, tight)]
+        lever = gtsam.PriorFactorPoint3(L(0), self.lever, tight)
+        return [lever, *self.car.prior_factors()]
 
 
 def read_state(values: gtsam.Values, j: int, bias: int) -> State:

@@ -19,6 +19,7 @@ from fgloc.factors import gnss, imu
 from fgloc.factors.preintegration import preintegrate
 from fgloc.frames import skew
 from fgloc.measurements import Array
+from fgloc.smoother.car import Car
 from fgloc.sync import Plan
 from fgloc.timing import elapsed_s
 
@@ -52,9 +53,13 @@ class Model:
         self.gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
         self.has_gnss_bias = config.gnss.bias_sigma_m > 0
+        self.car = self._car()
 
     def __len__(self) -> int:
         return len(self.t_ns)
+
+    def _car(self) -> Car:
+        return Car(self.drive, self.plan, self.config, self.bias_of, self.noise)
 
     @cached_property
     def cov_world_m2(self) -> Array:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, L, V, X
+from gtsam.symbol_shorthand import A, B, C, V, X
 
 from fgloc.factors import imu, noise
 from fgloc.measurements import Array
@@ -22,6 +22,7 @@ from fgloc.smoother.dense import fill
 from fgloc.smoother.graph import Factors, GraphModel, Interval, State, read_state
 from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, stretch
 from fgloc.smoother.model import OBSERVED_YAW_RAD, YAW_SIGMA_RAD
+from fgloc.smoother.online_car import OnlineCar, arrivals
 from fgloc.smoother.solve import (
     explain_failure,
     first_values,
@@ -67,17 +68,21 @@ class Online:
         self._covs: dict[int, Array] = {}
         self._accepted: list[int] = []
         self._accepted_s = 0.0
+        self._car = OnlineCar(model)
         self._harvested = 0
 
     def run(self) -> None:
         """Feed every keyframe; raises SolverError where even a rebuilt window cannot be solved."""
-        arrivals = _arrivals(self.model)
-        for j in range(len(self.model)):
+        model = self.model
+        with_fix = np.flatnonzero(model.fix_of >= 0)
+        received = model.fixes.received_ns[model.fix_of[with_fix]]
+        arriving = arrivals(model.t_ns, with_fix, received)
+        for j in range(len(model)):
             try:
-                self._step(j, arrivals[j])
+                self._step(j, arriving[j])
             except np.linalg.LinAlgError as err:
-                raise singular(self.model, j) from err
-        self._finish(arrivals[-1])
+                raise singular(model, j) from err
+        self._finish(arriving[-1])
 
     @property
     def factors(self) -> int:
@@ -88,7 +93,7 @@ class Online:
         """Carry the state to keyframe j, take in what has arrived, write the epochs."""
         model, values = self.model, gtsam.Values()
         if j == 0:
-            state, predicted = self._initial_state(), np.eye(6)
+            state, predicted = self._initial_state(), np.eye(9)
             factors = self._first_prior()
             model.insert_shared(values)
         else:
@@ -99,10 +104,12 @@ class Online:
         self._states[j] = state
         new_bias = j == 0 or bool(model.bias_of[j] != model.bias_of[j - 1])
         model.insert(values, j, state, new_bias=new_bias)
-        more, far = self._take_in(j, fixes, values, state.pose, predicted)
+        factors += self._car.take_in(j, state, predicted, values, self._tree, aligned=self._aligned)
+        more, far = self._take_in(j, fixes, values, state.pose, predicted[:6, :6])
         self._harvest(j)
         self._update(j, [*factors, *more], values, EXTRA_UPDATES if far else 0)
         self._weigh(far)
+        self._car.read(j, self._tree)
         if not self._aligned and fixes:
             self._try_to_align(j)
         self._note_yaw(j)
@@ -208,7 +215,7 @@ class Online:
             first, self._states[first], self._covs[first] * INFLATION
         )  # fmt: skip
         states = [self._states[k] for k in range(first, j + 1)]
-        values = window_values(self.model, first, states, self._accepted)
+        values = window_values(self.model, first, states, self._accepted, self._car.axes)
         try:
             self._regrow(first, j, self._window(first, j, prior), values, "qr")
         except RuntimeError as again:
@@ -231,6 +238,7 @@ class Online:
             return
         pose = gtsam.Pose3(gtsam.Rot3(start.R_world_veh[0]), start.p_world_m[0])
         base = State(pose, start.v_world_mps[0], gtsam.imuBias.ConstantBias())
+        self._car.admit(first, j)
         groups = self._window(first, j, model.prior_factors(first, base, YAW_SIGMA_RAD))
         start = self._choose_yaw(start, groups)
         values = first_values(model, start, j + 1 - first, self._accepted)
@@ -259,6 +267,8 @@ class Online:
             self.model.motion_factors(k, self._intervals[k].pim) for k in range(first + 1, j + 1)
         ]
         before = None
+        for k in range(first, j + 1):
+            groups[k - first] += self._car.factors(k)
         for k in sorted(k for k in self._accepted if k >= first):
             groups[k - first] = [
                 *groups[k - first], *self.model.gnss_bias_factors(k, before),
@@ -274,7 +284,14 @@ class Online:
         factors = [factor for group in groups for factor in group]
         solved, _ = optimize(as_graph(factors), values, self.model)
         self._tree = self._new_tree(kind)
-        self._tree.update(factors, solved, self._stamps(first, j))
+        try:
+            self._tree.update(factors, solved, self._stamps(first, j))
+        except RuntimeError as err:
+            if kind == "qr":
+                raise
+            self._event(j, "solver", f"{explain_failure(err, self.model)}; QR takes over")
+            self._tree = self._new_tree("qr")
+            self._tree.update(factors, solved, self._stamps(first, j))
         for k in range(first, j + 1):
             self._states[k] = read_state(solved, k, int(self.model.bias_of[k]))
         self._read(j)
@@ -288,13 +305,14 @@ class Online:
         if self.model.has_gnss_bias:
             keys = [k for k in self._accepted if k >= first]
             stamps |= {key(k): float(self.model.t_s[k]) for k in keys for key in (A, C)}
+        stamps |= self._car.stamps(first, j)
         return stamps | dict.fromkeys(self._alive(j), float(self.model.t_s[j]))
 
     def _alive(self, j: int) -> list[int]:
         """Variables that later factors will touch, whatever their age."""
-        keys = [B(int(self.model.bias_of[j]))]
+        keys = [B(int(self.model.bias_of[j])), *self.model.shared_keys]
         if self.model.has_gnss_bias:
-            keys += [L(0), *(C(k) for k in self._accepted[-1:])]
+            keys += [C(k) for k in self._accepted[-1:]]
         return keys
 
     def _read(self, j: int) -> None:
@@ -342,6 +360,7 @@ class Online:
         """Take in fixes that arrived after the last keyframe; read what is still to be read."""
         j, values = len(self.model) - 1, gtsam.Values()
         late, _ = self._take_in(j, fixes, values, self._states[j].pose, self._covs[j][:6, :6])
+        late += self._car.finish(self._tree, aligned=self._aligned)
         if late:
             try:
                 self._tree.update(late, values, self._stamps(j, j))
@@ -362,6 +381,7 @@ class Online:
         for store in (self._states, self._covs, self._intervals):
             while store and (oldest := next(iter(store))) < keep:
                 del store[oldest]
+        self._car.forget(keep)
         while len(self._accepted) > 1 and self._accepted[0] < keep:
             del self._accepted[0]
 
@@ -397,29 +417,19 @@ class Online:
         self.events.append(Event(int(self.model.t_ns[j]), kind, text))
 
 
-def _arrivals(model: GraphModel) -> list[list[int]]:
-    """For each keyframe, and the end, the keyframes whose fixes have come in since the last."""
-    keys = np.flatnonzero(model.fix_of >= 0)
-    received = model.fixes.received_ns[model.fix_of[keys]]
-    order = np.argsort(received, kind="stable")
-    step = np.maximum(np.searchsorted(model.t_ns, received), keys)
-    arrivals: list[list[int]] = [[] for _ in range(len(model) + 1)]
-    for i in order:
-        arrivals[step[i]].append(int(keys[i]))
-    return arrivals
-
-
 def _predict(
     pim: gtsam.PreintegratedImuMeasurements, state: State, cov: Array
 ) -> tuple[State, Array]:
-    """The state at the end of an interval, and the covariance (6, 6) of its pose."""
+    """The state at the end of an interval, and the covariance (9, 9) of its pose and velocity."""
     by_state, by_bias = np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
     nav = pim.predict(gtsam.NavState(state.pose, state.velocity), state.bias, by_state, by_bias)
-    J = np.empty((6, 15))
-    J[:, :6], J[:, 9:] = by_state[:6, :6], by_bias[:6]
     # GTSAM's navigation state has its velocity's tangent in the vehicle frame, ours in the world.
-    J[:, 6:9] = by_state[:6, 6:] @ state.pose.rotation().matrix().T
-    predicted = J @ cov @ J.T + pim.residualCovariance()[:6, :6]
+    to_world = np.eye(9)
+    to_world[6:, 6:] = nav.pose().rotation().matrix()
+    J = np.empty((9, 15))
+    J[:, :9], J[:, 9:] = by_state, by_bias
+    J[:, 6:9] = by_state[:, 6:] @ state.pose.rotation().matrix().T
+    predicted = to_world @ (J @ cov @ J.T + pim.residualCovariance()) @ to_world.T
     return State(nav.pose(), nav.velocity(), state.bias), predicted
 
 

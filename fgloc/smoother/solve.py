@@ -22,6 +22,10 @@ _MEANING = {
     "c": ("GNSS bias", "nothing but GNSS observes the position"),
     "a": ("antenna position", "the fix's covariance is not usable"),
     "l": ("lever arm", "its prior is missing"),
+    "y": ("axes of the car", "position or attitude is not held by any measurement"),
+    "w": ("velocity of the point that does not slide", "the velocity is not held"),
+    "k": ("scale and mounting", "no constraint observes them"),
+    "z": ("zero", "its prior is missing"),
 }  # fmt: skip
 
 
@@ -121,12 +125,15 @@ def first_values(
 
 
 def window_values(
-    model: GraphModel, first: int, states: Sequence[State], with_fix: Collection[int]
-) -> gtsam.Values:
-    """GTSAM values of the keyframes from `first` on, with the variables that their fixes add.
+    model: GraphModel, first: int, states: Sequence[State], with_fix: Collection[int],
+    with_car: Collection[int] | None = None,
+) -> gtsam.Values:  # fmt: skip
+    """GTSAM values of the keyframes from `first` on, with the variables that their fixes and the
+    vehicle's constraints add.
 
     `with_fix` are the keyframes whose fix is in the graph: a variable without a factor, for a fix
-    that has yet to arrive, would be in the way when it does.
+    that has yet to arrive, would be in the way when it does. `with_car` are those whose constraint
+    is; by default all that there are.
     """
     values = gtsam.Values()
     model.insert_shared(values)
@@ -135,4 +142,6 @@ def window_values(
         model.insert(values, j, state, new_bias=new_bias)
         if j in with_fix:
             model.insert_fix(values, j, state.pose)
+        if j in with_car if with_car is not None else model.car.in_force[j]:
+            model.car.insert(values, j, state.pose, state.velocity, state.bias)
     return values

@@ -1,9 +1,11 @@
 """States of the keyframes, estimates of all epochs, and their turn to the world's tangent."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fgloc.factors import vehicle
 from fgloc.measurements import Array
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import Model
@@ -13,17 +15,21 @@ from fgloc.trajectory import Trajectory
 @dataclass(frozen=True, eq=False)
 class States:
     """Values of n keyframes: attitude (n, 3, 3), position in m and velocity in m/s (n, 3) of the
-    IMU's place, its bias (n, 6) in m/s^2 and rad/s, the GNSS bias (n, 3) in m."""
+    IMU's place, its bias (n, 6) in m/s^2 and rad/s, the GNSS bias (n, 3) in m. Of the whole drive,
+    how late the fixes are stamped, in s, and the car's calibration (3,), see `Car`."""
 
     R: Array
     p: Array
     v: Array
     bias: Array
     gnss_bias: Array
+    late_s: float = 0.0
+    calibration: Array = field(default_factory=lambda: vehicle.STRAIGHT)
 
     def first(self, n: int) -> "States":
         """Those of the first n keyframes."""
-        return States(*(column[:n] for column in vars(self).values()))
+        own = ("R", "p", "v", "bias", "gnss_bias")
+        return replace(self, **{name: getattr(self, name)[:n] for name in own})
 
     @classmethod
     def of(cls, guess: Guess) -> "States":
@@ -31,6 +37,17 @@ class States:
         n = len(guess.p_world_m)
         return cls(guess.R_world_veh, guess.p_world_m, guess.v_world_mps, np.zeros((n, 6)),
                    np.zeros((n, 3)))  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """What is done about what does not fit: `gated` (fixes,) are left out, and the fixes' loss
+    begins at a whitened error of `loss_width`, infinity being no loss. `plain` is least squares
+    for everything, vehicle constraints as well."""
+
+    gated: NDArray[np.bool_]
+    loss_width: float
+    plain: bool = False
 
 
 class StateLog:

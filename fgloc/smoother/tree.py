@@ -24,6 +24,8 @@ class Thresholds(NamedTuple):
 
 OTHER_THRESHOLD = 0.1
 """For what enters linearly or nearly so: velocities (m/s), biases and antenna points (m)."""
+MOUNTING_THRESHOLD = 10.0
+"""For the mounting, which is kept in mrad."""
 
 
 def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2Params:
@@ -35,8 +37,10 @@ def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2
         step.setWildfireThreshold(0.0)
     else:
         sizes = gtsam.ISAM2ThresholdMap()
-        sizes.insert(("x", np.repeat(thresholds, 3)))
-        for letter, size in (("v", 3), ("b", 6), ("a", 3), ("c", 3), ("l", 3)):
+        for letter in "xy":
+            sizes.insert((letter, np.repeat(thresholds, 3)))
+        sizes.insert(("k", np.repeat([OTHER_THRESHOLD, MOUNTING_THRESHOLD], 3)))
+        for letter, size in (("v", 3), ("b", 6), ("a", 3), ("c", 3), ("l", 3), ("w", 3), ("z", 3)):
             sizes.insert((letter, np.full(size, OTHER_THRESHOLD)))
         params.setRelinearizeThreshold(sizes)
         params.enablePartialRelinearizationCheck = True
@@ -84,6 +88,10 @@ class WholeTree:
     def pose(self, key: int) -> gtsam.Pose3:
         """The present value of a pose."""
         return self._solver.calculateEstimatePose3(key)
+
+    def bias(self, key: int) -> gtsam.imuBias.ConstantBias:
+        """The present value of a bias, or of what is kept as one."""
+        return self._solver.calculateEstimateConstantBias(key)
 
     def covariance(self, keys: list[int]) -> Array:
         """Joint covariance of some variables in the order given."""

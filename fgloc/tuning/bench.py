@@ -8,15 +8,16 @@ from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive, ImuNoise
-from fgloc.factors import gnss
 from fgloc.factors.imu import ImuDeltas
 from fgloc.measurements import Array
-from fgloc.smoother.band import Factor, NotPositiveError
-from fgloc.smoother.batch import run_batch
-from fgloc.smoother.chain import GNSS_BIAS, POSE, Chain
+from fgloc.smoother import clocks
+from fgloc.smoother.band import BorderedFactor, NotPositiveError
+from fgloc.smoother.batch import fix_errors, run_batch
+from fgloc.smoother.chain import Chain
 from fgloc.smoother.guess import guess, gyro_yaw
 from fgloc.smoother.model import Model
-from fgloc.smoother.states import States
+from fgloc.smoother.states import Robustness, States
+from fgloc.smoother.terms import GNSS_BIAS, POSE
 from fgloc.sync import plan
 from fgloc.tuning.rounds import Round
 from fgloc.verdicts import Verdict
@@ -88,8 +89,9 @@ class Bench:
 
     def __init__(self, drive: Drive, config: SmoothConfig) -> None:
         """Raises DriveError where the drive lacks fixes, an IMU or its noise."""
-        self.drive, self.plan = drive, plan(drive, config)
-        model = Model(drive, self.plan, plain(config))
+        self.drive = clocks.on_time(drive, config)
+        self.plan = plan(self.drive, config)
+        model = Model(self.drive, self.plan, plain(config))
         self.noise = model.noise
         self.with_fix = model.fix_of >= 0
         self.fix_t_s = model.t_s[self.with_fix]
@@ -127,22 +129,23 @@ class Bench:
 
     def _solve(self, chain: Chain, one: Round, most: int) -> tuple[States, Array]:
         """States of a round, and the poses' covariances, with those of the GNSS bias (n, q, q)."""
-        withheld = one.withheld | self.outliers
+        robust = Robustness(one.withheld | self.outliers, np.inf)
         states = self._states.get(id(one)) or self._first(chain)
         keep = np.append(POSE, GNSS_BIAS) if chain.model.has_gnss_bias else POSE
         try:
-            states, factor = _newton(chain, states, withheld, most)
+            states, factor = _newton(chain, states, robust, most)
         except NotPositiveError:
-            states, _, _ = chain.optimum(states, withheld)
-            states, factor = _newton(chain, states, withheld, 1)
-        return states, factor.inverse_blocks(chain.n, keep)
+            states, _, _ = chain.optimum(states, robust)
+            states, factor = _newton(chain, states, robust, 1)
+        return states, factor.inverse_blocks(keep)
 
     def _first(self, chain: Chain) -> States:
         """The drive smoothed as a whole, heading and all; every round begins there."""
         if self._start is None:
-            log, at = run_batch(chain.model).log, chain.model.epoch_of
-            bias = np.hstack([np.zeros((len(at), 3)), log.gyro_bias[at]])
-            self._start = States(log.R[at], log.p[at], log.v[at], bias, np.zeros((len(at), 3)))
+            run, at = run_batch(chain.model), chain.model.epoch_of
+            log, zero = run.log, np.zeros((len(at), 3))
+            bias = np.hstack([zero, log.gyro_bias[at]])
+            self._start = States(log.R[at], log.p[at], log.v[at], bias, zero, run.late_s)
         return self._start
 
     def _gathered(
@@ -164,15 +167,15 @@ def plain(config: SmoothConfig) -> SmoothConfig:
 
 
 def _newton(
-    chain: Chain, states: States, withheld: NDArray[np.bool_], most: int
-) -> tuple[States, Factor]:
+    chain: Chain, states: States, robust: Robustness, most: int
+) -> tuple[States, BorderedFactor]:
     """States after some steps, and the factor of the last one; NotPositiveError as it comes."""
     while True:
-        _, band = chain.linearize(states, withheld, "plain")
-        factor, most = band.factor(0.0, often=True), most - 1
+        _, band = chain.linearize(states, robust, "weights")
+        factor, most = band.factor(often=True), most - 1
         step = factor.solve(band.gradient)
-        states = chain.moved(states, -step)
-        if most == 0 or float((step * band.gradient).sum()) / 2 <= ENOUGH:
+        states = chain.moved(states, step)
+        if most == 0 or step.dot(band.gradient) / 2 <= ENOUGH:
             return states, factor
 
 
@@ -182,10 +185,9 @@ def _compared(
     """Errors (k, 3), covariances (k, 3, 3) and the state's share in them (k,) of some fixes as
     predicted."""
     model, at = chain.model, chain.fixed[fixes]
-    z = model.fixes.p_world_ant_m[model.fix_of[at]]
-    told = gnss.residual(states.p[at], states.R[at], z, model.lever, states.gnss_bias[at])
-    by_bias = np.broadcast_to(told.by_bias, (len(at), 3, 3))
-    H = np.concatenate([told.by_pose, by_bias], -1)[..., : cov.shape[-1]]
+    by_pose = states.R[at] @ model.antenna_by_pose
+    by_bias = np.broadcast_to(np.eye(3), (len(at), 3, 3))
+    H = np.concatenate([by_pose, by_bias], -1)[..., : cov.shape[-1]]
     P = H @ cov[at] @ H.swapaxes(-1, -2)
     S = P + model.cov_of_fixes(at)
-    return told.error, S, np.trace(np.linalg.solve(S, P), axis1=1, axis2=2) / 3
+    return fix_errors(model, states, at), S, np.trace(np.linalg.solve(S, P), axis1=1, axis2=2) / 3

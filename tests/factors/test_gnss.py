@@ -99,3 +99,41 @@ def test_weight_and_curvature_are_the_derivatives_of_the_cost(loss):
     bend = (cost(norms + step) - 2 * cost(norms) + cost(norms - step)) / step**2
     np.testing.assert_allclose(noise.weight(norms, loss, 3.4) * norms, slope, rtol=1e-5)
     np.testing.assert_allclose(noise.curvature(norms, loss, 3.4), bend, atol=1e-5)
+
+
+def late_case(v, R, bias, late_s, p):
+    rate, z = np.array([[0.1, -0.2, 0.5]] * len(p)), np.zeros((len(p), 3))
+    told = gnss.residual(p, R, z, LEVER)
+    return gnss.late_residual(told, R, v, rate - bias, LEVER, late_s)
+
+
+def test_a_late_fix_is_where_the_antenna_was():
+    """Straight on at 10 m/s, stamped 0.1 s late: a metre behind; turning left, it also swings."""
+    R, v = np.eye(3)[None], np.array([[10.0, 0, 0]])
+    told = gnss.residual(np.zeros((1, 3)), R, np.zeros((1, 3)), [1.0, 0, 0])
+    late = gnss.late_residual(told, R, v, np.array([[0, 0, 0.5]]), [1.0, 0, 0], 0.1)
+    np.testing.assert_allclose(late.error, [[1 - 1.0, -0.05, 0]])
+
+
+def test_the_jacobians_of_a_late_fix_equal_their_difference_quotients():
+    p, R = poses(4)
+    v, bias, late_s, step = np.random.default_rng(1).normal(size=(4, 3)) * 8, np.zeros(3), 0.2, 1e-6
+    told = late_case(v, R, bias, late_s, p)
+
+    def slope(moved):
+        return (moved(step) - moved(-step)) / (2 * step)
+
+    for i, e in enumerate(np.eye(6)):
+        by_pose = slope(
+            lambda s, e=e: (
+                late_case(v, R @ exp_so3(s * e[:3]), bias, late_s, p + s * R @ e[3:]).error
+            )
+        )
+        np.testing.assert_allclose(told.by_pose[..., i], by_pose, atol=1e-7)
+    for i, e in enumerate(np.eye(3)):
+        by_v = slope(lambda s, e=e: late_case(v + s * e, R, bias, late_s, p).error)
+        by_bias = slope(lambda s, e=e: late_case(v, R, s * e, late_s, p).error)
+        np.testing.assert_allclose(told.by_velocity[..., i], by_v, atol=1e-7)
+        np.testing.assert_allclose(told.by_gyro_bias[..., i], by_bias, atol=1e-7)
+    by_late = slope(lambda s: late_case(v, R, bias, late_s + s, p).error)
+    np.testing.assert_allclose(told.by_late[..., 0], by_late, atol=1e-7)

@@ -50,14 +50,15 @@ def _apart(one, other, from_s=0.0):
 
 
 def _turned(drive, yaw_rad) -> Drive:
-    """The same motion and measurements, told of a vehicle whose x axis points elsewhere."""
+    """The same motion and measurements, told of a vehicle whose x axis points elsewhere; without
+    wheel speeds, which are along x."""
     T = np.eye(4)
     T[:3, :3] = frames.yaw_matrix(yaw_rad).T
     rig = Rig(T[:3, :3] @ drive.rig.p_veh_ant_m, T @ drive.rig.T_veh_imu, drive.rig.imu_noise)
     R = drive.truth.R_world_veh @ T[:3, :3].T
-    return dataclasses.replace(
-        drive, rig=rig, truth=dataclasses.replace(drive.truth, R_world_veh=R)
-    )
+    tables = {name: table for name, table in drive.tables.items() if name != "wheel"}
+    truth = dataclasses.replace(drive.truth, R_world_veh=R)
+    return dataclasses.replace(drive, rig=rig, tables=tables, truth=truth)
 
 
 def _sensed(motion, name: str, seed: int) -> Drive:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fgloc.smoother import band
-from fgloc.smoother.band import Band, NotPositiveError
+from fgloc.smoother.band import Band, NotPositiveError, Vector
 
 TERMS = (
     (range(8), [0, 1, 3, 4, 5, 6, 7]),
@@ -16,14 +16,14 @@ TERMS = (
 
 @pytest.fixture(params=["numpy", "lapack"])
 def systems(request, monkeypatch):
-    """A band of 9 blocks of 4 unknowns and the same as a dense matrix and vector."""
+    """A band of 9 blocks of 4 unknowns with a border of 2, and the same dense."""
     monkeypatch.setattr(band, "MANY_BLOCKS", 100 if request.param == "numpy" else 0)
     rng = np.random.default_rng(0)
-    banded, H, g = Band(9, 4), np.zeros((36, 36)), np.zeros(36)
+    banded, H, g = Band(9, 4, 2), np.zeros((38, 38)), np.zeros(38)
     portions = [banded.portion(0, 5), banded.portion(5, 20)]
     for blocks, at in TERMS:
-        J = rng.normal(size=(len(blocks), 6, len(at)))
-        error = rng.normal(size=(len(blocks), 6))
+        q = len(at) + 2 * (len(blocks) < 5)  # some know the border, some do not
+        J, error = rng.normal(size=(len(blocks), 6, q)), rng.normal(size=(len(blocks), 6))
         curvature, gradient = J.swapaxes(1, 2) @ J, np.einsum("nm,nmq->nq", error, J)
         for portion in portions:
             rows = [k for k, j in enumerate(blocks) if portion.first <= j < portion.stop]
@@ -31,7 +31,7 @@ def systems(request, monkeypatch):
                 those = np.array(blocks)[rows]
                 portion.add(those, np.array(at), curvature[rows], gradient[rows])
         for j, square, slope in zip(blocks, curvature, gradient, strict=True):
-            rows = 4 * j + np.array(at)
+            rows = np.append(4 * j + np.array(at), [36, 37])[:q]
             H[np.ix_(rows, rows)] += square
             g[rows] += slope
     for portion in portions:
@@ -39,38 +39,43 @@ def systems(request, monkeypatch):
     return banded, H, g
 
 
+def flat(vector):
+    return np.append(vector.blocks.ravel(), vector.border)
+
+
 def test_terms_add_up_and_the_solution_is_that_of_the_dense_system(systems):
     banded, H, g = systems
-    np.testing.assert_allclose(banded.gradient.ravel(), g)
-    x = banded.factor(0.0).solve(banded.gradient)
-    np.testing.assert_allclose(x.ravel(), np.linalg.solve(H, g))
+    np.testing.assert_allclose(flat(banded.gradient), g)
+    x = banded.factor().solve(banded.gradient)
+    np.testing.assert_allclose(flat(x), np.linalg.solve(H, g))
+    assert x.dot(banded.gradient) == pytest.approx(flat(x) @ g)
 
 
 def test_what_is_solved_often_is_solved_by_lapack_to_the_same_answer(systems, monkeypatch):
-    banded, dense, gradient = systems
-    monkeypatch.setattr(band, "MANY_BLOCKS", 100)
-    factor = banded.factor(0.0, often=True)
-    assert isinstance(factor, band._Lapack)
-    np.testing.assert_allclose(
-        factor.solve(banded.gradient).ravel(), np.linalg.solve(dense, gradient), rtol=1e-9
-    )
-
-
-def test_damping_lies_on_the_diagonal_of_every_block(systems):
     banded, H, g = systems
-    damping = np.array([1.0, 2.0, 3.0, 4.0])
+    monkeypatch.setattr(band, "MANY_BLOCKS", 100)
+    monkeypatch.setattr(band, "_Blocks", None)
+    x = banded.factor(often=True).solve(banded.gradient)
+    np.testing.assert_allclose(flat(x), np.linalg.solve(H, g))
+
+
+def test_damping_lies_on_the_diagonal_of_every_block_and_of_the_border(systems):
+    banded, H, g = systems
+    damping = Vector(np.array([1.0, 2.0, 3.0, 4.0]), np.array([5.0, 6.0]))
     x = banded.factor(damping).solve(banded.gradient)
-    np.testing.assert_allclose(x.ravel(), np.linalg.solve(H + np.diag(np.tile(damping, 9)), g))
+    dense = np.diag(np.append(np.tile(damping.blocks, 9), damping.border))
+    np.testing.assert_allclose(flat(x), np.linalg.solve(H + dense, g))
 
 
 @pytest.mark.parametrize("at_once", [2, 100])
 def test_blocks_of_the_inverse_are_those_of_the_dense_one(systems, monkeypatch, at_once):
     banded, H, _ = systems
     monkeypatch.setattr(band, "BLOCKS_AT_ONCE", at_once)
-    keep, inverse = np.array([0, 3]), np.linalg.inv(H)
-    blocks = banded.factor(0.0).inverse_blocks(9, keep)
+    keep, inverse, factor = np.array([0, 3]), np.linalg.inv(H), banded.factor()
+    blocks = factor.inverse_blocks(keep)
     for j in range(9):
         np.testing.assert_allclose(blocks[j], inverse[np.ix_(4 * j + keep, 4 * j + keep)])
+    np.testing.assert_allclose(factor.cov_border, inverse[36:, 36:])
 
 
 @pytest.mark.parametrize("many", [0, 100])
@@ -81,5 +86,15 @@ def test_what_nothing_holds_is_named(monkeypatch, many):
     portion.add(np.array([0, 2]), np.arange(2), np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)))
     banded.take(portion)
     with pytest.raises(NotPositiveError) as caught:
-        banded.factor(0.0)
+        banded.factor()
     assert caught.value.unknown == 2
+
+
+def test_a_border_that_nothing_holds_is_named():
+    banded = Band(3, 2, 1)
+    portion = banded.portion(0, 3)
+    portion.add(np.arange(3), np.arange(2), np.tile(np.eye(2), (3, 1, 1)), np.zeros((3, 2)))
+    banded.take(portion)
+    with pytest.raises(NotPositiveError) as caught:
+        banded.factor()
+    assert caught.value.unknown == 6

@@ -26,12 +26,12 @@ BATCH_WITHIN, LAG_WITHIN = 1.02, 1.05
 
 
 @functools.cache
-def figures(case, mode):
+def figures(case, mode, *settings):
     """Horizontal RMSE in m over all truth and within outages, and the mean error at their end."""
     drive = open_drive("mems-rtk")
     if case in OUTAGES:
         drive = degrade(drive, outage=OUTAGES[case])
-    result = smooth(drive, load_config(mode=mode))
+    result = smooth(drive, load_config(mode=mode, settings=settings))
     from_ns = int(drive.gnss.t_ns[0]) + SCORE_FROM_S * 10**9
     scored = errors(result.trajectory, drive.truth, score_from_ns=from_ns)
     growth = error_growth(scored, gnss_outages(result))
@@ -82,3 +82,9 @@ def test_noisy_fixes_are_smoothed_as_well_as_by_plain_gtsam(monkeypatch):
     )
     assert batch <= plain_batch * 1.05
     assert lag <= plain_lag * 1.05
+
+
+@pytest.mark.parametrize(("case", "kf_gins_m"), [("B", 10.0), ("C", 38.6)])
+def test_a_car_that_keeps_its_lane_drifts_half_as_far_as_kf_gins_that_did_not_know(case, kf_gins_m):
+    car = "vehicle.non_holonomic=true", "vehicle.zero_velocity=true"
+    assert figures(case, "fixed-lag", *car).mean_end_m <= kf_gins_m / 2

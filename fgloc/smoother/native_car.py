@@ -1,0 +1,99 @@
+"""The vehicle's part of the native graph.
+
+A constraint at keyframe j adds the car's own axes Y(j) and, where its point is not the IMU's place,
+that point's velocity W(j); all share K(0), the calibration, and Z(0), a zero: see
+`factors.vehicle`.
+"""
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import B, K, V, W, X, Y, Z
+
+from fgloc.factors import noise, vehicle
+from fgloc.measurements import Array
+from fgloc.smoother.car import SLIP_WIDTH, STILL_WIDTH, WHEEL_WIDTH, Car
+
+Factors = list[gtsam.NonlinearFactor]
+
+
+class NativeCar(Car):
+    """A car that builds its factors."""
+
+    @property
+    def keys(self) -> list[int]:
+        """Shared variables."""
+        return [K(0), Z(0)] if self.acts else []
+
+    def keys_at(self, j: int) -> list[int]:
+        """Variables of the constraint at keyframe j."""
+        return [Y(j), W(j)] if self.has_arm else [Y(j)]
+
+    def prior_factors(self) -> Factors:
+        """What is known of the shared variables beforehand."""
+        if not self.keys:
+            return []
+        c = self.config
+        return [vehicle.calibration_prior(K(0), c.mounting_sigma_rad, c.scale_sigma),
+                vehicle.zero_prior(Z(0))]  # fmt: skip
+
+    def insert_shared(self, values: gtsam.Values) -> None:
+        """Put in the variables that all constraints share."""
+        if self.keys:
+            values.insert(K(0), vehicle.calibration(self.found))
+            values.insert(Z(0), np.zeros(3))
+
+    def insert(
+        self, values: gtsam.Values, j: int, pose: gtsam.Pose3, velocity: Array,
+        bias: gtsam.imuBias.ConstantBias,
+    ) -> None:  # fmt: skip
+        """Put in the variables of the constraint at keyframe j, as its state and the calibration
+        found so far have them."""
+        rate = self.rate_radps[j] - bias.gyroscope()
+        point = velocity + pose.rotation().matrix() @ np.cross(rate, self.arm)
+        turn = self.turn(self.found)[j]
+        values.insert(Y(j), vehicle.car_pose(pose, point, turn))
+        if self.has_arm:
+            values.insert(W(j), point)
+
+    def axis_factors(self, j: int) -> Factors:
+        """The axes that the car follows at keyframe j, and that it follows them if asked."""
+        model = vehicle.car_model(self.slip_sigmas_mps[j])
+        model = noise.robust(model, "huber", SLIP_WIDTH)
+        slip = vehicle.non_holonomic_factor(
+            X(j), self._point(j), Y(j), Z(0), K(0), float(self.pitch_rad[j]), model
+        )
+        if not self.has_arm:
+            return [slip]
+        keys = X(j), V(j), Y(j), W(j), B(int(self.bias_of[j]))
+        return [slip, vehicle.point_velocity_factor(*keys, self.rate_radps[j], self.arm)]
+
+    def wheel_factors(self, j: int) -> Factors:
+        """The wheel speed at keyframe j, whose axes are in the graph."""
+        speed, sigma = self.speed(j)
+        model = noise.robust(vehicle.wheel_model(sigma), "huber", WHEEL_WIDTH)
+        return [vehicle.wheel_factor(Y(j), Z(0), X(j), self._point(j), K(0), speed, model)]
+
+    def still_factors(self, j: int) -> Factors:
+        """The car stands at keyframe j."""
+        bias, rate = B(int(self.bias_of[j])), self.mean_rate_radps[j]
+        still = gtsam.noiseModel.Isotropic.Sigma(3, self.config.still_speed_mps)
+        model = noise.robust(still, "huber", STILL_WIDTH)
+        return vehicle.standstill_factors(V(j), bias, rate, model, self.still_rate_sigma)
+
+    def factors(self, j: int) -> Factors:
+        """All that is known at keyframe j, for a graph that is built at once."""
+        return [
+            *(self.axis_factors(j) if self.in_force[j] else []),
+            *(self.wheel_factors(j) if self.wheel_row[j] >= 0 else []),
+            *(self.still_factors(j) if self.stands[j] else []),
+        ]
+
+    def calibration(self, values: gtsam.Values) -> Array:
+        """The calibration (3,) as a solution has it."""
+        if not self.acts:
+            return vehicle.STRAIGHT
+        return vehicle.read_calibration(values.atConstantBias(K(0)))
+
+    def _point(self, j: int) -> int:
+        """The key of the velocity of the point that does not slide."""
+        return W(j) if self.has_arm else V(j)

@@ -1,0 +1,249 @@
+"""What every factor of a drive's graph says at some states: whitened errors and Jacobians in numpy.
+
+The cost is that of the graph which `graph.py` builds for GTSAM; a test holds the two together. A
+block of unknowns belongs to each keyframe: pose (rotation, then translation, in the vehicle frame),
+velocity, IMU bias, and the GNSS bias where there is one. A bias that several keyframes share is
+kept once for each of them; the curvature sees a walk of next to nothing between the copies, the
+cost none, so that the optimum is exact. What the whole drive shares stands in the border: how late
+the fixes are stamped, and the car's calibration.
+"""
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgloc.factors import gnss, imu, noise, vehicle
+from fgloc.frames import log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
+from fgloc.measurements import Array
+from fgloc.smoother.car import SLIP_WIDTH, STILL_WIDTH, WHEEL_WIDTH
+from fgloc.smoother.guess import Guess
+from fgloc.smoother.model import (
+    LEVEL_SIGMA_RAD,
+    POSITION_SIGMA_M,
+    SPEED_SIGMA_MPS,
+    YAW_SIGMA_RAD,
+    Model,
+)
+from fgloc.smoother.states import Robustness, States
+
+POSE, VELOCITY, BIAS, GNSS_BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15), np.arange(15, 18)
+STATE, FULL = np.arange(9), np.arange(15)
+COPY_SHARE = 1e-5
+"""Of a bias step's variance, the part that the curvature gives to each copy within an interval."""
+
+
+class Term(NamedTuple):
+    """M factors of one kind: whitened errors (M, m) and Jacobians (M, m, q).
+
+    blocks  (M,) the keyframe that each begins at
+    at      the unknowns it depends on, counted from that keyframe's first; what the Jacobian has
+            beyond them is by the shared unknowns
+    loss    that lies on it, from a whitened error of `width` on
+    """
+
+    blocks: NDArray[np.int64]
+    at: NDArray[np.int64]
+    error: Array
+    jacobian: Array
+    loss: noise.Loss = "none"
+    width: float = np.inf
+
+
+class Terms:
+    """The factors of the first n keyframes of a model."""
+
+    def __init__(self, model: Model, prior: Guess, deltas: imu.ImuDeltas) -> None:
+        """`deltas` has a row for each interval; the prior lies level around the guess's first."""
+        n = len(deltas.dt_s) + 1
+        self.model, self.deltas, self.n, self._prior = model, deltas, n, prior
+        self.bias_of = model.bias_of[:n]
+        self.width = 18 if model.has_gnss_bias else 15
+        late = 0 if model.config.clock.estimate == "none" else 1
+        self.late, self.car_at = slice(0, late), slice(late, late + 3 * model.car.acts)
+        self.shared = self.car_at.stop
+        self.fixed = np.flatnonzero(model.fix_of[:n] >= 0)
+        self._prior_R = yaw_matrix(yaw_of(prior.R_world_veh[:1]))
+        self._whiten_imu = np.linalg.inv(np.linalg.cholesky(deltas.cov))
+        self._whiten_fix = np.linalg.inv(np.linalg.cholesky(model.cov_of_fixes(self.fixed)))
+
+    @property
+    def factors(self) -> int:
+        """How many measurements, steps and priors there are, a bias's copies not counted."""
+        chains = 2 if self.width > 15 else 1
+        steps = (self.n - 1) * chains + int(self.bias_of[-1])
+        car = self.model.car
+        held = (car.wheel_row[: self.n] >= 0).sum() + 2 * car.stands[: self.n].sum()
+        if car.config.non_holonomic:
+            held += car.in_force[: self.n].sum()
+        shared = (self.late.stop > 0) + bool(car.acts)
+        return int(3 + chains + steps + shared + held) + len(self.fixed)
+
+    def at(self, states: States, robust: Robustness, first: int, stop: int) -> Iterator[Term]:
+        """The factors that begin at keyframes first..stop - 1."""
+        if first == 0:
+            yield from self._priors(states)
+        intervals = slice(first, min(stop, self.n - 1))
+        if intervals.start < intervals.stop:
+            yield self._motion(states, intervals)
+            yield from self._bias_steps(states, intervals)
+        within = slice(*np.searchsorted(self.fixed, [first, stop]))
+        kept = np.arange(within.start, within.stop)[~robust.gated[within]]
+        if len(kept):
+            yield self._fixes(states, kept, robust.loss_width)
+        if self.model.car.acts or self.model.car.stands.any():
+            yield from self._constraints(states, first, stop)
+
+    def _priors(self, states: States) -> Iterator[Term]:
+        """What is known of keyframe 0 before any measurement."""
+        first, c = np.array([0]), self.model.config.gnss
+        R, p = states.R[:1], states.p[:1]
+        turn = log_so3(self._prior_R.swapaxes(-1, -2) @ R)
+        tilt = np.array([LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, YAW_SIGMA_RAD])
+        yield Term(first, POSE[:3], turn / tilt, right_jacobian_inverse_so3(turn) / tilt[:, None])
+        yield Term(first, POSE[3:], (p - self.model.first_fix_m) / POSITION_SIGMA_M,
+                   R / POSITION_SIGMA_M)  # fmt: skip
+        yield from self._shared_priors(states)
+        for at, value, sigma in (
+            (VELOCITY, states.v[:1], [SPEED_SIGMA_MPS] * 3),
+            (BIAS, states.bias[:1], self.model.bias_sigmas),
+            (GNSS_BIAS, states.gnss_bias[:1], [c.bias_sigma_m] * 3),
+        ):
+            if at[-1] < self.width:
+                yield Term(first, at, value / sigma, np.diag(1 / np.array(sigma))[None])
+
+    def _shared_priors(self, states: States) -> Iterator[Term]:
+        """What is known of the unknowns of the whole drive before any measurement."""
+        v, nothing = self.model.config.vehicle, POSE[:0]
+        calibration = np.array([v.mounting_sigma_rad] * 2 + [v.scale_sigma])
+        late = np.array([self.model.config.clock.sigma_s])
+        for at, value, sigma in (
+            (self.late, np.array([states.late_s]), late),
+            (self.car_at, states.calibration - vehicle.STRAIGHT, calibration),
+        ):
+            if at.start < at.stop:
+                J = self._border(1, at, np.diag(1 / sigma)[None])
+                yield Term(np.array([0]), nothing, (value / sigma)[None], J)
+
+    def _border(self, n: int, at: slice, jacobian: Array) -> Array:
+        """Jacobians (n, m, q) by some of the shared unknowns among those by all of them."""
+        full = np.zeros((n, jacobian.shape[1], self.shared))
+        full[:, :, at] = jacobian
+        return full
+
+    def _motion(self, states: States, rows: slice) -> Term:
+        """The IMU between keyframes j and j + 1, for the j of a slice."""
+        W, following = self._whiten_imu[rows], slice(rows.start + 1, rows.stop + 1)
+        told = imu.residual(
+            self.deltas.take(rows), (states.R[rows], states.p[rows], states.v[rows]),
+            (states.R[following], states.p[following], states.v[following]), states.bias[rows],
+            self.model.gravity_mps2,
+        )  # fmt: skip
+        J = np.concatenate([told.by_pose_i, told.by_velocity_i, told.by_bias, told.by_pose_j,
+                            told.by_velocity_j], -1)  # fmt: skip
+        at = np.concatenate([STATE, BIAS, self.width + STATE])
+        return Term(np.arange(rows.start, rows.stop), at, _whitened(W, told.error), W @ J)
+
+    def _bias_steps(self, states: States, rows: slice) -> Iterator[Term]:
+        """The walk of the IMU's bias from keyframe to keyframe, and that of GNSS's bias."""
+        following = slice(rows.start + 1, rows.stop + 1)
+        change = states.bias[following] - states.bias[rows]
+        yield self._step_term(rows, BIAS, change, np.ones(len(change)), self._bias_sigmas[rows])
+        if self.width > 15:
+            phi, sigma = (column[rows] for column in self._gnss_walk)
+            change = states.gnss_bias[following] - phi[:, None] * states.gnss_bias[rows]
+            yield self._step_term(rows, GNSS_BIAS, change, phi, np.repeat(sigma[:, None], 3, 1))
+
+    def _step_term(
+        self, rows: slice, at: NDArray[np.int64], change: Array, phi: Array, sigma: Array
+    ) -> Term:
+        """x_j+1 - phi x_j ~ N(0, sigma^2) for unknowns `at`; phi is (m,), the others (m, q)."""
+        eye = np.eye(len(at))
+        back = -phi[:, None, None] * eye
+        J = np.concatenate([back, np.broadcast_to(eye, back.shape)], -1) / sigma[..., None]
+        blocks = np.arange(rows.start, rows.stop)
+        return Term(blocks, np.append(at, self.width + at), change / sigma, J)
+
+    def _fixes(self, states: States, kept: NDArray[np.int64], width: float) -> Term:
+        """Those fixes, counted among the chain's own."""
+        told, W, keys = self._fix_residual(states, kept), self._whiten_fix[kept], self.fixed[kept]
+        parts, at, error, border = [told.by_pose], POSE, told.error, []
+        if self.late.stop:
+            rate = self.model.epochs.rate_radps[self.model.epoch_of[keys]] - states.bias[keys, 3:]
+            late = gnss.late_residual(
+                told, states.R[keys], states.v[keys], rate, self.model.lever, states.late_s
+            )
+            parts, error = [late.by_pose, late.by_velocity, late.by_gyro_bias], late.error
+            at = np.concatenate([POSE, VELOCITY, BIAS[3:]])
+            border = [self._border(len(keys), self.late, late.by_late)]
+        if self.width > 15:
+            parts, at = [*parts, np.broadcast_to(np.eye(3), W.shape)], np.append(at, GNSS_BIAS)
+        J = W @ np.concatenate([*parts, *border], -1)
+        loss = "none" if self.model.has_gnss_bias else self.model.config.gnss.loss
+        return Term(keys, at, _whitened(W, error), J, loss, width)
+
+    def _constraints(self, states: States, first: int, stop: int) -> Iterator[Term]:
+        """What the vehicle's constraints say at keyframes first..stop - 1."""
+        car, within = self.model.car, slice(first, stop)
+        turn = car.turn(states.calibration)
+        if car.config.non_holonomic and len(at := first + np.flatnonzero(car.in_force[within])):
+            told = vehicle.non_holonomic(self._body_velocity(states, at), turn[at])
+            yield self._vehicle_term(at, told, car.slip_sigmas_mps[at], SLIP_WIDTH)
+        if len(at := first + np.flatnonzero(car.wheel_row[within] >= 0)):
+            speed, sigma = np.array([car.speed(j) for j in at.tolist()]).T
+            u = self._body_velocity(states, at)
+            told = vehicle.wheel(u, turn[at], float(states.calibration[2]), speed)
+            yield self._vehicle_term(at, told, sigma[:, None], WHEEL_WIDTH)
+        if len(at := first + np.flatnonzero(car.stands[within])):
+            rate = car.mean_rate_radps[at]
+            still = vehicle.standstill(states.v[at], states.bias[at], rate).error
+            eye = np.broadcast_to(np.eye(3), (len(at), 3, 3))
+            slow, quiet = car.config.still_speed_mps, car.still_rate_sigma
+            yield Term(at, VELOCITY, still[:, :3] / slow, eye / slow, "huber", STILL_WIDTH)
+            yield Term(at, BIAS[3:], still[:, 3:] / quiet, eye / quiet)
+
+    def _body_velocity(self, states: States, at: NDArray[np.int64]) -> vehicle.BodyVelocity:
+        car = self.model.car
+        return vehicle.body_velocity(
+            states.R[at], states.v[at], car.rate_radps[at], states.bias[at], car.arm
+        )
+
+    def _vehicle_term(
+        self, at: NDArray[np.int64], told: vehicle.VehicleResidual, sigma: Array, width: float
+    ) -> Term:
+        """A constraint with standard deviations (m, rows) under Huber's loss."""
+        by_calibration = np.concatenate([told.by_mounting, told.by_scale], -1)
+        border = self._border(len(at), self.car_at, by_calibration)
+        J = np.concatenate([told.by_pose, told.by_velocity, told.by_bias, border], -1)
+        return Term(at, FULL, told.error / sigma, J / sigma[..., None], "huber", width)
+
+    def _fix_residual(
+        self, states: States, rows: NDArray[np.int64] | slice = slice(None)
+    ) -> gnss.GnssResidual:
+        at = self.fixed[rows]
+        z = self.model.fixes.p_world_ant_m[self.model.fix_of[at]]
+        return gnss.residual(states.p[at], states.R[at], z, self.model.lever, states.gnss_bias[at])
+
+    @cached_property
+    def _bias_sigmas(self) -> Array:
+        """(n - 1, 6): of a real step where a bias begins, of next to nothing between copies."""
+        begins = np.diff(self.bias_of) > 0
+        t_s, last_s = self.model.bias_t_s, self.model.config.imu.bias_interval_s
+        length_s = np.diff(t_s, append=t_s[-1] + last_s)[self.bias_of[:-1]]
+        walk = imu.bias_walk_sigmas(self.model.noise, 1.0) * np.sqrt(length_s)[:, None]
+        return np.where(begins[:, None], walk, np.sqrt(COPY_SHARE) * walk)
+
+    @cached_property
+    def _gnss_walk(self) -> tuple[Array, Array]:
+        """phi and sigma in m (n - 1,) of the GNSS bias over the intervals."""
+        c = self.model.config.gnss
+        pairs = [gnss.bias_transition(dt, c.bias_sigma_m, c.bias_tau_s)
+                 for dt in np.diff(self.model.t_s[: self.n]).tolist()]  # fmt: skip
+        phi, sigma = np.array(pairs).T
+        return phi, sigma
+
+
+def _whitened(W: Array, error: Array) -> Array:
+    return np.einsum("nij,nj->ni", W, error)

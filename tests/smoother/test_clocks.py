@@ -1,0 +1,91 @@
+"""Stamps that are late: configured, estimated, told of, and refused where it cannot be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fgloc.datasets import open_drive
+from fgloc.errors import ConfigError
+
+
+def late(drive, table, by_s):
+    """The drive with one table stamped late."""
+    rows = drive.tables[table]
+    by_ns = round(by_s * 1e9)
+    columns = {"t_ns": rows.t_ns + by_ns, "received_ns": rows.received_ns + by_ns}
+    return drive.with_tables(**{table: replace(rows, **columns)})
+
+
+def allowed_m(drive, run, rmse_m, told):
+    """What the drive gives on time, and the way that it goes in three sigmas of the lateness."""
+    speed_mps = np.sqrt((drive.truth.v_world_mps**2).sum(-1).mean())
+    return rmse_m(run(drive).trajectory, drive, 5.0) + 3 * told["sigma_s"] * speed_mps
+
+
+@pytest.mark.parametrize("by_s", [0.13, -0.4])
+def test_late_fixes_are_found_and_cost_no_accuracy(city, run, rmse_m, by_s):
+    drive = city(3, 60.0)
+    result = run(late(drive, "gnss", by_s), clock={"estimate": "gnss"})
+    told = result.summary["clock"]
+    assert told["observable"]
+    assert abs(told["late_s"] - by_s) < 3 * told["sigma_s"] < 0.1
+    assert rmse_m(result.trajectory, drive, 5.0) < allowed_m(drive, run, rmse_m, told)
+
+
+def test_the_sigma_of_the_lateness_holds_over_drives(city, run):
+    """NEES of ten drives: chi-square with 10 degrees, 0.1 % to either side."""
+    found = [
+        run(city(seed, 40.0), clock={"estimate": "gnss"}).summary["clock"] for seed in range(10)
+    ]
+    assert 1.48 < sum((one["late_s"] / one["sigma_s"]) ** 2 for one in found) < 29.6
+
+
+def test_a_late_imu_is_the_same_seen_from_the_fixes_clock(city, run, rmse_m):
+    drive = city(3, 60.0)
+    result = run(late(drive, "imu", 0.13), clock={"estimate": "imu"})
+    told = result.summary["clock"]
+    assert abs(told["late_s"] - 0.13) < 3 * told["sigma_s"]
+    assert rmse_m(result.trajectory, drive, 5.0) < allowed_m(drive, run, rmse_m, told)
+
+
+def test_a_configured_lateness_makes_up_for_it(city, run, apart):
+    drive = city(3, 30.0)
+    shifted = run(late(drive, "gnss", 0.2), clock={"gnss_s": 0.2})
+    assert apart(shifted.trajectory, run(drive).trajectory).m.max() == 0
+
+
+def test_a_causal_run_takes_a_configured_lateness_too(city, run, rmse_m):
+    drive = late(city(3, 30.0), "gnss", 0.2)
+    told, untold = (
+        rmse_m(run(drive, "fixed-lag", clock={"gnss_s": s}).trajectory, drive, 10.0)
+        for s in (0.2, 0.0)
+    )
+    assert told < 0.5 * untold
+
+
+def test_a_car_that_stands_shows_no_lateness_and_is_told_so(altered, run):
+    told = run(altered.standing(20.0), clock={"estimate": "gnss"}).summary["clock"]
+    assert not told["observable"]
+    assert told["sigma_s"] == pytest.approx(0.3, rel=0.1)
+    assert "hardly shows it" in told["text"]
+
+
+def test_the_imu_of_the_real_drive_is_late_and_the_withheld_fixes_agree(run, rmse_m):
+    """They were not used: a lateness that was not real would not bring the path closer to them."""
+    drive = open_drive("mems-rtk")
+    estimated = run(drive, clock={"estimate": "imu"})
+    assert estimated.summary["clock"]["late_s"] == pytest.approx(0.089, abs=0.01)
+    near = estimated.trajectory.at_point(drive.rig.p_veh_ant_m)
+    plain = run(drive).trajectory.at_point(drive.rig.p_veh_ant_m)
+    errors = [
+        np.linalg.norm((t.at(drive.truth.t_ns).p_world_m - drive.truth.p_world_m)[:, :2], axis=1)
+        for t in (near, plain)
+    ]
+    assert np.sqrt((errors[0][300:] ** 2).mean()) < 0.8 * np.sqrt((errors[1][300:] ** 2).mean())
+
+
+@pytest.mark.parametrize("settings", [{"mode": "fixed-lag"}, {"solver": {"batch": "gtsam"}}])
+def test_estimating_takes_the_whole_drive_and_the_chain(city, run, settings):
+    with pytest.raises(ConfigError, match=r"clock.estimate goes with (mode batch|solver.batch)"):
+        run(city(0, 10.0), clock={"estimate": "gnss"}, **settings)
