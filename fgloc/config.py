@@ -30,12 +30,12 @@ class GnssConfig(Section):
     gate_probability: float = Field(default=0.9999, gt=0, le=1)
     """A fix is gated where its NIS exceeds this quantile of chi-square, times the slack squared;
     1 switches the gate off."""
-    gate_slack: float = Field(default=3.0, ge=1)
+    gate_slack: float = Field(default=3.0, ge=1, le=1e6)
     """How many times too small the innovation's sigma may be before the gate may act: real noise is
     never quite the model's, and what lies between is left to the loss."""
     gate_reset_s: float = Field(default=5.0, gt=0)
     """After this long without an accepted fix the gate opens, or it would never recover."""
-    sigma_scale: float = Field(default=1.0, gt=0)
+    sigma_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
     """Factor on every fix's standard deviation."""
     bias_sigma_m: float = Field(default=0.0, ge=0)
     """Stationary standard deviation per axis of a slowly varying position bias; 0 leaves it out."""
@@ -54,7 +54,7 @@ class ImuConfig(Section):
     gyro_bias_sigma_radps: float | None = Field(default=None, gt=0)
     gravity_mps2: float | None = Field(default=None, gt=9.7, lt=9.9)
     """Default: normal gravity at the drive's origin."""
-    bias_interval_s: float = Field(default=1.0, gt=0)
+    bias_interval_s: float = Field(default=1.0, gt=0, le=1e6)
     """A new bias variable at the first keyframe this long after the last one."""
     gap_s: float = Field(default=0.2, gt=0)
     """Samples further apart than this are a gap, which is bridged and reported."""
@@ -71,9 +71,9 @@ class VehicleConfig(Section):
     """The wheels do not slide sideways and the road holds the car: no speed but along its axis."""
     zero_velocity: bool = False
     """While the IMU shakes no more than a car at rest does, it neither moves nor turns."""
-    wheel_speed: bool = True
-    """Use wheel speeds where the drive has them."""
-    interval_s: float = Field(default=1.0, gt=0)
+    wheel_speed: bool = False
+    """Use the drive's wheel speeds; their scale is estimated."""
+    interval_s: float = Field(default=1.0, ge=1e-3, le=1e6)
     """One constraint, and one wheel speed, in so much time: their errors last for seconds, so more
     of them say little more."""
     p_veh_point_m: list[float] = Field(default=[0.0, 0.0, 0.0], min_length=3, max_length=3)
@@ -93,7 +93,7 @@ class VehicleConfig(Section):
     """How straight the IMU's axes lie to the car's; the turn between them is estimated."""
     scale_sigma: float = Field(default=0.02, gt=0)
     """Of the wheels' scale, which is estimated: tyres differ in wear, load and pressure."""
-    still_window_s: float = Field(default=1.0, gt=0)
+    still_window_s: float = Field(default=1.0, gt=0, le=1e6)
     """Standstill is told from the samples of so much time before."""
     still_accel_mps2: float = Field(default=0.1, gt=0)
     """Standard deviation of the specific force within the window, all axes, below which a car
@@ -146,9 +146,9 @@ class SmoothConfig(Section):
     lag_s: float = Field(default=5.0, gt=0)
     smoothed: bool = False
     """Causal modes: also give the last estimate of every state."""
-    keyframe_interval_s: float = Field(default=1.0, gt=0)
+    keyframe_interval_s: float = Field(default=1.0, ge=1e-3, le=1e6)
     """Longest time between two states of the graph; every aiding measurement gets its own."""
-    output_interval_s: float = Field(default=0.25, gt=0)
+    output_interval_s: float = Field(default=0.25, ge=1e-3, le=1e6)
     """Longest time between two states of the written trajectory."""
     seed: int | None = None
     """Kept with the results of simulated drives; the smoother itself draws nothing."""

@@ -42,7 +42,7 @@ def wheels(t_s, speed_mps=0.0, **columns):
 
 
 def plan_of(drive, **vehicle):
-    return plan(drive, load_config(vehicle=vehicle))
+    return plan(drive, load_config(vehicle={"wheel_speed": True, **vehicle}))
 
 
 def seconds(made, where):

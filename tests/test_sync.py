@@ -253,7 +253,7 @@ def test_samples_before_the_first_fix_are_outside():
 
 
 def test_a_table_without_a_factor_is_unused():
-    config = load_config(settings=["vehicle.wheel_speed=false"])
+    config = load_config()
     made = plan(make("city", seed=1, duration_s=10.0), config).verdicts["wheel"]
     assert set(made.verdict) == {Verdict.UNUSED}
     assert set(made.reason) == {"no wheel factor in this method"}

@@ -40,6 +40,7 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
 
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:
+    clocks.refuse_wheels(config)
     model = _model(Model, drive, config)
     run = run_batch(model)
     in_force = config
@@ -49,7 +50,9 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
         # The estimate brings fixes back along a straight line: shift the stamps by it, and see what
         # is left. A fix may then be true at another instant, so the epochs are planned anew.
         in_force = clocks.shifted(in_force, run.late_s)
+        shifted_s = model.shifted_s + run.late_s
         model = _model(Model, drive, in_force)
+        model.shifted_s = shifted_s
         run = run_batch(model)
     summary = _summary(model, run.factors) | {"iterations": run.iterations, "cost": run.cost}
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD

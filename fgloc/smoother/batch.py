@@ -19,14 +19,16 @@ from fgloc.verdicts import Verdict
 
 MAX_ROUNDS = 5
 """Gating is repeated until no verdict changes, at most this often."""
-MOST_OUTLIERS = 0.1
-"""Gate and loss may act on this share of the fixes. Where more do not fit, it is the noise that is
-claimed too small, of the fixes or of the IMU, and both are widened: a gate that believed the noise
-would drop good fixes."""
+MOST_OUTLIERS, MOST_WIDENED = 0.1, 10.0
+"""Gate and loss may act on this share of the fixes. Where more do not fit, the noise is probably
+claimed too small, of the fixes or of the IMU, and both are widened, up to so many sigmas for one: a
+gate that believed the noise would drop good fixes."""
 
 
 class Solver(Protocol):
     """A drive's graph that can be solved: in numpy (`Chain`) or by GTSAM (`Whole`)."""
+
+    converged: bool
 
     @property
     def factors(self) -> int:
@@ -80,7 +82,8 @@ def run_batch(model: Model) -> BatchRun:
     for rounds in range(1, MAX_ROUNDS + 1):
         cov, P = solver.covariances(states, robust)
         nis, weight = _leave_one_out(model, states, P, keys, robust)
-        gate_nis = gate_nis or _widened(model.gate_nis, nis)
+        gate = np.sqrt(model.gate_nis)
+        gate_nis = gate_nis or model.gate_nis * _widening(gate, np.sqrt(nis)) ** 2
         beyond = nis > gate_nis
         if np.array_equal(beyond, robust.gated) or rounds == MAX_ROUNDS:
             break
@@ -94,9 +97,10 @@ def run_batch(model: Model) -> BatchRun:
     begin = model.epoch_of[0]
     sigma = yaw_sigma_rad(log.R[begin], log.cov[begin, :3, :3])
     factors = solver.factors - int(robust.gated.sum())
+    events = _remarks(model, solver, robust, gate_nis)
+    late_sigma_s = solver.late_sigma_s(states, robust)
     return BatchRun(
-        log, factors, iterations, cost, sigma, _remarks(model, robust, gate_nis), states.late_s,
-        solver.late_sigma_s(states, robust),
+        log, factors, iterations, cost, sigma, events, states.late_s, late_sigma_s
     )  # fmt: skip
 
 
@@ -114,27 +118,40 @@ def _settle(
     width = np.inf
     if model.config.gnss.loss != "none" and not model.has_gnss_bias:
         norm = np.sqrt(noise.nis(fix_errors(model, states, keys), model.cov_of_fixes(keys)))
-        width = _widened(model.config.gnss.loss_width, norm)
+        width = model.config.gnss.loss_width
+        width *= _widening(width, norm)
     robust = Robustness(nothing, width)
     states, cost, more = solver.optimum(states, robust)
     return states, robust, cost, iterations + more
 
 
-def _widened(threshold: float, values: Array) -> float:
-    """The threshold, or what `MOST_OUTLIERS` of the values exceed if that is more."""
-    return max(threshold, float(np.quantile(values, 1 - MOST_OUTLIERS)))
+def _widening(sigmas: float, values: Array) -> float:
+    """By what a threshold must grow for no more than `MOST_OUTLIERS` of the values to exceed it."""
+    exceeded = float(np.quantile(values, 1 - MOST_OUTLIERS))
+    return min(max(exceeded / sigmas, 1.0), MOST_WIDENED)
 
 
-def _remarks(model: Model, robust: Robustness, gate_nis: float) -> tuple[Event, ...]:
-    """What a user should know where the noise is not what the drive says."""
-    texts = []
-    loss_width = model.config.gnss.loss_width
+def _remarks(
+    model: Model, solver: Solver, robust: Robustness, gate_nis: float
+) -> tuple[Event, ...]:
+    """What a user should know of the solution and of noise that is not what the drive says."""
+    texts, loss_width = [], model.config.gnss.loss_width
     if loss_width < robust.loss_width < np.inf:
         texts.append(f"loss from {robust.loss_width:.3g} on instead of {loss_width:g}")
     if gate_nis > model.gate_nis:
         texts.append(f"gate at an NIS of {gate_nis:.3g} instead of {model.gate_nis:.3g}")
-    text = f"noise is claimed too small: more than {MOST_OUTLIERS:.0%} of the fixes do not fit it; "
-    return (Event(int(model.t_ns[0]), "noise", text + ", ".join(texts)),) if texts else ()
+    start_ns, events = int(model.t_ns[0]), []
+    if texts:
+        text = (
+            f"more than {MOST_OUTLIERS:.0%} of the fixes do not fit: noise is claimed too small, "
+        )
+        text += f"or they are wrong; {', '.join(texts)}"
+        events.append(Event(start_ns, "noise", text))
+    if not solver.converged:
+        most = model.config.solver.max_iterations
+        text = f"stopped after {most} iterations, before the optimum; do not trust the covariances"
+        events.append(Event(start_ns, "solver", text))
+    return tuple(events)
 
 
 def _solver(model: Model, prior: Guess, deltas: imu.ImuDeltas) -> Solver:

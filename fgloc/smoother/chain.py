@@ -19,7 +19,9 @@ BLOCKS_AT_ONCE = 1024
 
 
 class Chain(Terms):
-    """The first n keyframes of a model, ready to be solved."""
+    """The first n keyframes of a model, ready to be solved; `converged` is of the last time."""
+
+    converged = True
 
     @cached_property
     def damping(self) -> Vector:
@@ -58,6 +60,7 @@ class Chain(Terms):
         if not np.isfinite(cost):
             far = np.abs(self._fix_residual(states).error).max(-1)
             raise self._failure(int(self.fixed[np.nanargmax(far)]) * self.width)
+        self.converged = descent.converged
         return result, cost, descent.iterations
 
     def moved(self, states: States, back: Vector) -> States:
@@ -131,7 +134,10 @@ class Chain(Terms):
         if not self.late.stop:
             return None
         _, band = self.linearize(states, robust, "weights")
-        return float(np.sqrt(band.factor().cov_border[0, 0]))
+        try:
+            return float(np.sqrt(band.factor().cov_border[0, 0]))
+        except NotPositiveError as err:
+            raise self._failure(err.unknown) from err
 
     def _failure(self, unknown: int) -> SolverError:
         """What to say where the normal equations cannot be solved."""

@@ -61,3 +61,12 @@ def refuse_estimate(config: SmoothConfig) -> None:
             f"clock.estimate goes with mode batch; run it once and give a causal run what it finds "
             f"as clock.{name}_s"
         )
+
+
+def refuse_wheels(config: SmoothConfig) -> None:
+    """Raise ConfigError where wheels, on a clock of their own, would hide how late others are."""
+    if config.clock.estimate != "none" and config.vehicle.wheel_speed:
+        raise ConfigError(
+            "clock.estimate and vehicle.wheel_speed = true do not go together: estimate without "
+            "the wheels, and give what it finds to a run with them"
+        )

@@ -53,6 +53,7 @@ class Model:
         self.gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
         self.has_gnss_bias = config.gnss.bias_sigma_m > 0
+        self.shifted_s = 0.0  # by how much an estimated lateness has moved the fixes already
         self.car = self._car()
 
     def __len__(self) -> int:

@@ -10,7 +10,7 @@ from fgloc.smoother.states import Robustness, States
 Curvature = Literal["newton", "weights"]
 FIRST_DAMPING, MAX_DAMPING = 1e-4, 1e10
 """In units of `Cost.damping`; a step that climbs takes ten times the last one's."""
-NEAR = 0.1
+NEAR = 0.01
 """Where nearness will do, a step may still promise this share of the cost."""
 
 
@@ -31,11 +31,12 @@ class Cost(Protocol):
 
 
 class Descent:
-    """Steps down one cost, at most so many; `iterations` counts them."""
+    """Steps down one cost, at most so many: `iterations` counts them, `converged` says whether
+    they were enough."""
 
     def __init__(self, cost: Cost, robust: Robustness, most: int) -> None:
         self.cost, self.robust, self.most = cost, robust, most
-        self.iterations = 0
+        self.iterations, self.converged = 0, False
 
     def run(self, states: States, tolerance: float, share: float = 0.0) -> tuple[States, float]:
         """The states where a step promises less than a tolerance or a share of the cost; the cost.
@@ -58,6 +59,7 @@ class Descent:
                 states, value, band = trial, trial_value, trial_band
                 curvature, damping = "newton", damping / 10
             if done or self.iterations >= self.most:
+                self.converged = done
                 return states, value
             if climbs:
                 if curvature == "newton":

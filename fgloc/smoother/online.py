@@ -68,6 +68,7 @@ class Online:
         self._covs: dict[int, Array] = {}
         self._accepted: list[int] = []
         self._accepted_s = 0.0
+        self._refused: Array | None = None
         self._car = OnlineCar(model)
         self._harvested = 0
 
@@ -180,7 +181,9 @@ class Online:
         nis = float(error @ np.linalg.solve(S, error))
         fits = nis <= model.gate_nis
         waited = model.t_s[key] - self._accepted_s > c.gate_reset_s
-        accepted = fits or waited or not self._aligned
+        opens = waited and self._agrees_with_the_last(error, R_fix)
+        accepted = fits or opens or not self._aligned
+        self._refused = None if accepted else error
         verdicts = model.plan.verdicts["gnss"]
         if self._aligned:
             verdicts.nis[row], verdicts.dof[row], verdicts.threshold[row] = nis, 3, model.gate_nis
@@ -190,9 +193,17 @@ class Online:
         else:
             verdicts.set(row, Verdict.USED, "" if self._aligned else "before the yaw was aligned")
         if accepted and not fits and self._aligned:
-            text = f"no fix accepted for {c.gate_reset_s:g} s: the gate opened"
+            text = f"no fix accepted for {c.gate_reset_s:g} s, and two that agree: the gate opened"
             self._event(key, "gate reset", text)
         return accepted, far
+
+    def _agrees_with_the_last(self, error: Array, cov: Array) -> bool:
+        """Whether a fix that does not fit errs as the one refused before it did: one that is wrong
+        by itself must not move the state to where it is."""
+        if self._refused is None:
+            return False
+        apart = error - self._refused
+        return float(apart @ np.linalg.solve(2 * cov, apart)) <= self.model.gate_nis
 
     def _update(self, j: int, factors: Factors, values: gtsam.Values, extra: int) -> None:
         """One update of the tree and the newest state read from it; a failed tree is replaced."""

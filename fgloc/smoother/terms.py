@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.errors import SolverError
 from fgloc.factors import gnss, imu, noise, vehicle
 from fgloc.frames import log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
 from fgloc.measurements import Array
@@ -66,8 +67,20 @@ class Terms:
         self.shared = self.car_at.stop
         self.fixed = np.flatnonzero(model.fix_of[:n] >= 0)
         self._prior_R = yaw_matrix(yaw_of(prior.R_world_veh[:1]))
-        self._whiten_imu = np.linalg.inv(np.linalg.cholesky(deltas.cov))
-        self._whiten_fix = np.linalg.inv(np.linalg.cholesky(model.cov_of_fixes(self.fixed)))
+        self._whiten_imu = self._whitening(deltas.cov, np.arange(n - 1))
+        self._whiten_fix = self._whitening(model.cov_of_fixes(self.fixed), self.fixed)
+
+    def _whitening(self, cov: Array, keys: NDArray[np.int64]) -> Array:
+        """W (m, r, r) with W cov W' = I; SolverError names the keyframe where there is none."""
+        try:
+            return np.linalg.inv(np.linalg.cholesky(cov))
+        except np.linalg.LinAlgError as err:
+            sound = np.nan_to_num(cov, nan=-1.0, posinf=-1.0, neginf=-1.0)
+            j = int(keys[np.argmin(np.linalg.eigvalsh(sound)[:, 0] > 0)])
+            raise SolverError(
+                f"the measurements at keyframe {j}, t = {self.model.t_s[j]:.2f} s, are out of all "
+                "bounds: a covariance cannot be computed from them"
+            ) from err
 
     @property
     def factors(self) -> int:
@@ -120,7 +133,7 @@ class Terms:
         calibration = np.array([v.mounting_sigma_rad] * 2 + [v.scale_sigma])
         late = np.array([self.model.config.clock.sigma_s])
         for at, value, sigma in (
-            (self.late, np.array([states.late_s]), late),
+            (self.late, np.array([states.late_s + self.model.shifted_s]), late),
             (self.car_at, states.calibration - vehicle.STRAIGHT, calibration),
         ):
             if at.start < at.stop:
@@ -230,8 +243,9 @@ class Terms:
     def _bias_sigmas(self) -> Array:
         """(n - 1, 6): of a real step where a bias begins, of next to nothing between copies."""
         begins = np.diff(self.bias_of) > 0
-        t_s, last_s = self.model.bias_t_s, self.model.config.imu.bias_interval_s
-        length_s = np.diff(t_s, append=t_s[-1] + last_s)[self.bias_of[:-1]]
+        t_s = self.model.bias_t_s
+        end_s = max(float(self.model.t_s[-1]), float(t_s[-1]) + 1e-3)
+        length_s = np.diff(t_s, append=end_s)[self.bias_of[:-1]]
         walk = imu.bias_walk_sigmas(self.model.noise, 1.0) * np.sqrt(length_s)[:, None]
         return np.where(begins[:, None], walk, np.sqrt(COPY_SHARE) * walk)
 

@@ -16,7 +16,9 @@ from fgloc.smoother.tree import as_graph
 
 
 class Whole:
-    """The native graph of a drive's first keyframes."""
+    """The native graph of a drive's first keyframes; `converged` is of the last time."""
+
+    converged = True
 
     def __init__(self, model: GraphModel, prior: Guess, groups: Sequence[Factors] = ()) -> None:
         """The prior lies level around the guess's first state; `groups` saves building factors."""
@@ -43,6 +45,7 @@ class Whole:
         """
         graph = self._graph(robust)
         values, iterations = optimize(graph, self._values(states), self.model)
+        self.converged = iterations < self.model.config.solver.max_iterations
         return self._states(values), float(graph.error(values)), iterations
 
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:

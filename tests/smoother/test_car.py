@@ -13,9 +13,10 @@ from fgloc.smoother.graph import GraphModel, State
 from fgloc.smoother.tree import as_graph
 from fgloc.sync import plan
 
-RIGID = {"non_holonomic": True, "zero_velocity": True, "pitch_rad_per_mps2": 0.0,
-         "point_sigma_m": 0.05}  # fmt: skip
+RIGID = {"wheel_speed": True, "non_holonomic": True, "zero_velocity": True,
+         "pitch_rad_per_mps2": 0.0, "point_sigma_m": 0.05}  # fmt: skip
 """What is true of a simulated car: no springs, and an axle that is where the rig says."""
+WHEELS = {"wheel_speed": True}
 
 
 def with_wheel(drive, change):
@@ -31,7 +32,7 @@ def test_wheels_and_a_car_that_keeps_its_lane_outlast_the_fixes(
 ):
     """Ten seconds without fixes: the error stays below that of the IMU alone."""
     drive = altered.without_fixes(city(0, 60.0), 40.0, 50.0)
-    alone = against_truth(run(drive, mode, vehicle={"wheel_speed": False}).trajectory, drive, 40.0)
+    alone = against_truth(run(drive, mode, vehicle={}).trajectory, drive, 40.0)
     held = against_truth(run(drive, mode, vehicle=RIGID).trajectory, drive, 40.0)
     inside = alone.t_ns <= drive.start_ns + 50_000_000_000
     assert held.horizontal_m[inside].max() < 3.0
@@ -63,7 +64,7 @@ def test_wheels_that_spin_are_gated(city, run):
         speed[1500:1600] += 8.0
         return speed
 
-    told = run(with_wheel(city(0, 40.0), spin), "fixed-lag").verdicts["wheel"]
+    told = run(with_wheel(city(0, 40.0), spin), "fixed-lag", vehicle=WHEELS).verdicts["wheel"]
     rows = np.flatnonzero(told.verdict == "gated")
     assert set(rows) <= set(range(1500, 1600)) and len(rows) == 2
     assert (told.nis[rows] > told.threshold[rows]).all()
@@ -75,7 +76,7 @@ def test_wheel_speeds_that_come_late_enter_at_their_instant_or_not_at_all(city, 
     for delay_s, verdict, least in ((1.5, "used", 40), (9.0, "late", 10)):
         received = wheel.received_ns + round(delay_s * 1e9)
         late = drive.with_tables(wheel=dataclasses.replace(wheel, received_ns=received))
-        told = run(late, "fixed-lag").verdicts["wheel"].counts()
+        told = run(late, "fixed-lag", vehicle=WHEELS).verdicts["wheel"].counts()
         assert told[verdict] >= least
 
 
