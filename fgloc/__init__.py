@@ -13,7 +13,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fgloc.api import baseline, compare, doctor, load, make, score, smooth
+    from fgloc.api import baseline, compare, doctor, load, make, score, smooth, tune
     from fgloc.config import SmoothConfig
     from fgloc.diagnosis.finding import Finding
     from fgloc.drive import About, Drive, ImuNoise, Rig
@@ -24,20 +24,22 @@ if TYPE_CHECKING:
     from fgloc.measurements import GnssFixes, ImuSamples, SteeringAngles, WheelSpeeds
     from fgloc.result import Event, Result
     from fgloc.trajectory import Trajectory
+    from fgloc.tuning.result import Tuning
     from fgloc.verdicts import SourceVerdicts, Verdict
 
     __version__: str
 
 _HOME = {
     "baseline": "api", "compare": "api", "doctor": "api", "load": "api", "make": "api",
-    "score": "api", "smooth": "api", "Comparison": "evaluation.comparison",
+    "score": "api", "smooth": "api", "tune": "api", "Comparison": "evaluation.comparison",
     "Method": "evaluation.comparison", "Metric": "evaluation.metric", "SmoothConfig": "config",
     "Finding": "diagnosis.finding", "About": "drive", "Drive": "drive", "ImuNoise": "drive",
     "Rig": "drive", "ConfigError": "errors", "DriveError": "errors", "FglocError": "errors",
     "InputError": "errors", "SolverError": "errors", "Origin": "frames",
     "GnssFixes": "measurements", "ImuSamples": "measurements", "SteeringAngles": "measurements",
     "WheelSpeeds": "measurements", "Event": "result", "Result": "result",
-    "Trajectory": "trajectory", "SourceVerdicts": "verdicts", "Verdict": "verdicts",
+    "Trajectory": "trajectory", "Tuning": "tuning.result", "SourceVerdicts": "verdicts",
+    "Verdict": "verdicts",
 }  # fmt: skip
 """The module that each public name comes from."""
 
@@ -64,6 +66,7 @@ __all__ = [
     "SourceVerdicts",
     "SteeringAngles",
     "Trajectory",
+    "Tuning",
     "Verdict",
     "WheelSpeeds",
     "__version__",
@@ -74,6 +77,7 @@ __all__ = [
     "make",
     "score",
     "smooth",
+    "tune",
 ]
 
 

@@ -1,12 +1,12 @@
-"""What fgloc does, as functions: open or make a drive, estimate, score, compare.
+"""What fgloc does, as functions: open or make a drive, tune, estimate, score, compare.
 
 The same functions stand behind the command line. A drive is a `Drive`, a drive folder, or a name
 that `fgloc datasets` lists.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fgloc.config import Mode, SmoothConfig, load_config
 from fgloc.diagnosis.finding import Finding
@@ -16,6 +16,9 @@ from fgloc.evaluation.comparison import Comparison, Method, compare_methods
 from fgloc.evaluation.metric import Metric
 from fgloc.result import Result
 from fgloc.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from fgloc.tuning.result import Tuning
 
 DriveLike = Drive | str | Path
 
@@ -126,6 +129,28 @@ def doctor(drive: DriveLike, *, seed: int | None = None) -> list[Finding]:
     if not isinstance(drive, Drive) and seed is None and is_drive_folder(drive):
         return diagnose_folder(drive)
     return diagnose(load(drive, seed=seed))
+
+
+def tune(
+    drive: DriveLike,
+    *,
+    config: str | Path | SmoothConfig | None = None,
+    settings: Iterable[str] = (),
+    outage_s: float = 20.0,
+    seed: int | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> "Tuning":
+    """Find the noise of a drive's sources from the drive itself; `.config` is ready for `smooth`.
+
+    The search starts from the rig's noise and the configuration; see `fgloc.tuning`. `outage_s` is
+    the longest outage for which the noise is to hold, and `tell` is given a line at every step.
+    Truth is not used. Raises InputError where the drive is too short or has too few fixes,
+    DriveError where it lacks what the graph needs, SolverError where it cannot be solved.
+    """
+    from fgloc.tuning import tune as run
+
+    opened, in_force = prepare(drive, configure(config=config, settings=settings, seed=seed), seed)
+    return run(opened, in_force, outage_s, tell)
 
 
 def baseline(drive: DriveLike, method: str, *, seed: int | None = None) -> Result:

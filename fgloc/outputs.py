@@ -46,6 +46,20 @@ def check_folder(folder: Path) -> None:
         raise InputError(f"{folder}: is a drive folder; choose another folder for the results")
 
 
+def check_file(path: Path, *, overwrite: bool) -> None:
+    """Raise InputError where a file of our own cannot or should not go."""
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give the name of a file")
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: is there already; give another name or --overwrite")
+
+
+def write_file(path: Path, text: str) -> None:
+    """Write a file, and make its folder where that is missing; InputError where it cannot be."""
+    with _writing(path.parent):
+        _write_text(path, text)
+
+
 def write_result(
     folder: Path,
     drive: Drive,

@@ -14,9 +14,9 @@ from fgloc.errors import InputError
 from fgloc.verdicts import Verdict
 
 SURFACE = {
-    "load", "make", "smooth", "baseline", "score", "compare", "doctor", "Finding",
+    "load", "make", "smooth", "baseline", "score", "compare", "doctor", "tune", "Finding",
     "Drive", "Rig", "ImuNoise", "About", "Origin", "GnssFixes", "ImuSamples", "WheelSpeeds",
-    "SteeringAngles",
+    "SteeringAngles", "Tuning",
     "Trajectory", "Result", "Event", "Verdict", "SourceVerdicts", "Metric", "Method", "Comparison",
     "SmoothConfig", "FglocError", "InputError", "DriveError", "ConfigError", "SolverError",
     "__version__",

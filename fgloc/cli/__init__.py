@@ -16,6 +16,7 @@ from fgloc.cli.doctor import doctor
 from fgloc.cli.drives import datasets, degrade, import_drive, make
 from fgloc.cli.results import evaluate, explain
 from fgloc.cli.runs import baseline, smooth
+from fgloc.cli.tuning import tune
 from fgloc.errors import FglocError
 
 __all__ = ["cli", "main"]
@@ -55,7 +56,8 @@ def cli() -> None:
 
 
 for _command in (
-    datasets, make, import_drive, doctor, degrade, smooth, baseline, compare, evaluate, explain,
+    datasets, make, import_drive, doctor, degrade, tune, smooth, baseline, compare, evaluate,
+    explain,
 ):  # fmt: skip
     cli.add_command(_command)
 

@@ -141,6 +141,10 @@ import_files = with_options(
     click.option("--positions", metavar="FILE", help="Trajectory (TUM) that is measured."),
     click.option("--truth", metavar="FILE", help="Trajectory (TUM) that is the truth."),
 )
+config = click.option(
+    "--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Configuration in TOML, e.g. the config.toml of an earlier result.",
+)  # fmt: skip
 settings = click.option(
     "--set", "settings", type=Setting(), multiple=True, metavar="KEY=VALUE",
     help="One option more, by name; may be given several times.",

@@ -31,10 +31,7 @@ Examples:
     metavar="S",
     help="Of fixed-lag, seconds [default: 5].",
 )
-@click.option(
-    "--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Configuration in TOML, e.g. the config.toml of an earlier result.",
-)  # fmt: skip
+@options.config
 @click.option(
     "--set", "settings", type=options.Setting(), multiple=True, metavar="KEY=VALUE",
     help="One setting, e.g. gnss.loss=none; may be given several times.",

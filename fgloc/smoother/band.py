@@ -73,17 +73,18 @@ class Band:
         self.gradient.blocks[first:end] += portion.gradient.blocks[: end - first]
         self.gradient.border[:] += portion.gradient.border
 
-    def factor(self, damping: Vector | None = None) -> "BorderedFactor":
+    def factor(self, damping: Vector | None = None, *, often: bool = False) -> "BorderedFactor":
         """The Cholesky factor, with a damping (d,) and (k,) on the diagonal; H may be overwritten.
 
-        Raises NotPositiveError.
+        `often` says that many are to come, which is worth importing scipy for. Raises
+        NotPositiveError.
         """
         corner = self.corner
         if damping is not None:
             self.columns[:, :, 0] += damping.blocks
             corner = corner + np.diag(damping.border)
-        kind = _Blocks if len(self.columns) < MANY_BLOCKS else _Lapack
-        return BorderedFactor(kind(self.columns), self.border, corner)
+        few = len(self.columns) < MANY_BLOCKS and not often
+        return BorderedFactor((_Blocks if few else _Lapack)(self.columns), self.border, corner)
 
 
 class Portion:

@@ -117,7 +117,7 @@ def _settle(
     )
     width = np.inf
     if model.config.gnss.loss != "none" and not model.has_gnss_bias:
-        norm = np.sqrt(noise.nis(_errors(model, states, keys), model.cov_of_fixes(keys)))
+        norm = np.sqrt(noise.nis(fix_errors(model, states, keys), model.cov_of_fixes(keys)))
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
     robust = Robustness(nothing, width)
@@ -178,7 +178,7 @@ def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
     return choose_yaw(start, len(keys), cost)
 
 
-def _errors(model: Model, states: States, keys: NDArray[np.int64]) -> Array:
+def fix_errors(model: Model, states: States, keys: NDArray[np.int64]) -> Array:
     """Predicted minus measured antenna positions (n, 3) of the fixes at some keyframes, ENU m."""
     z = model.fixes.p_world_ant_m[model.fix_of[keys]]
     p, R, bias = states.p[keys], states.R[keys], states.gnss_bias[keys]
@@ -198,7 +198,7 @@ def _leave_one_out(
     the residual, the prediction without the fix has the error R_w (R_w - P)^-1 r and the
     covariance R_w (R_w - P)^-1 R_w - R_w. NIS is 0 where the fix is all that holds the state.
     """
-    R_fix, error = model.cov_of_fixes(keys), _errors(model, states, keys)
+    R_fix, error = model.cov_of_fixes(keys), fix_errors(model, states, keys)
     whitened = np.sqrt(noise.nis(error, R_fix))
     loss = model.config.gnss.loss if np.isfinite(robust.loss_width) else "none"
     weight = noise.weight(whitened, loss, robust.loss_width)

@@ -51,6 +51,14 @@ def test_terms_add_up_and_the_solution_is_that_of_the_dense_system(systems):
     assert x.dot(banded.gradient) == pytest.approx(flat(x) @ g)
 
 
+def test_what_is_solved_often_is_solved_by_lapack_to_the_same_answer(systems, monkeypatch):
+    banded, H, g = systems
+    monkeypatch.setattr(band, "MANY_BLOCKS", 100)
+    monkeypatch.setattr(band, "_Blocks", None)
+    x = banded.factor(often=True).solve(banded.gradient)
+    np.testing.assert_allclose(flat(x), np.linalg.solve(H, g))
+
+
 def test_damping_lies_on_the_diagonal_of_every_block_and_of_the_border(systems):
     banded, H, g = systems
     damping = Vector(np.array([1.0, 2.0, 3.0, 4.0]), np.array([5.0, 6.0]))

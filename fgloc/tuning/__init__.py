@@ -1,0 +1,86 @@
+"""The noise of a drive's sources, found by withholding fixes and predicting them.
+
+What noise is right shows where something is predicted and then compared. Fixes are withheld one at
+a time, in blocks and in outages, the rest is smoothed, and each withheld fix is scored by its
+log-likelihood under the prediction's covariance plus its own. Short gaps show the noise of the
+fixes, long ones that of the IMU, so the two can be told apart, which the NIS of a causal filter
+alone cannot. A quarter of the drive, in stretches, is never seen by the search; the noise before
+and after is judged there. The truth is not used.
+
+A constant or very slow error of the fixes cannot show in this way: nothing else knows the position.
+Where the fixes scatter far less than they claim, suspect a receiver that filters, and ask for slow
+errors: `gnss.bias_sigma_m` in the configuration, which is then sought as well.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from fgloc.config import SmoothConfig
+from fgloc.drive import Drive
+from fgloc.errors import InputError
+from fgloc.evaluation.consistency import anees_band, effective_samples
+from fgloc.factors import noise
+from fgloc.tuning.bench import Bench, Predictions
+from fgloc.tuning.result import Consistency, TunedSetting, Tuning
+from fgloc.tuning.rounds import make_rounds
+from fgloc.tuning.scoring import scores
+from fgloc.tuning.search import Search
+
+__all__ = ["Consistency", "TunedSetting", "Tuning", "tune"]
+
+OUTAGE_S = 20.0
+
+
+def tune(
+    drive: Drive,
+    config: SmoothConfig,
+    outage_s: float = OUTAGE_S,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Tuning:
+    """The noise under which withheld fixes of a drive are predicted best.
+
+    outage_s  the longest outage, in s, for which the noise is to hold; less on a short drive
+    tell      is given a line at every step
+
+    Raises InputError where the drive is too short or has too few fixes, DriveError where it lacks
+    what the graph needs, SolverError where it cannot be solved.
+    """
+    if not 0 < outage_s < np.inf:
+        raise InputError(f"outage_s = {outage_s}: expected seconds above 0")
+    blind = replace(drive, truth=None)
+    bench = Bench(blind, config)
+    rounds = make_rounds(bench.fix_t_s, outage_s, drive.name)
+    search = Search(bench, config, rounds.seen, tell)
+    search.run()
+    found = search.found()
+    tell("judging the stretches that the search has not seen")
+    before, after = (bench.settle(one, rounds.unseen) for one in (search.given(), found))
+    every_s = float(np.median(np.diff(bench.fix_t_s)))
+    return Tuning(
+        drive.name, found, search.settings(),
+        tuple(_consistency(before, after, n, n * every_s) for n in rounds.lengths),
+        len(bench.outliers), int(bench.outliers.sum()), search.evaluations,
+    )  # fmt: skip
+
+
+def _consistency(
+    before: Predictions, after: Predictions, fixes: int, outage_s: float
+) -> Consistency:
+    """The unseen fixes that were withheld so many in a row.
+
+    Errors of one block have in common what is not the fixes' own noise; their NIS correlate by the
+    square of that share.
+    """
+    rows = before.fixes == fixes
+    nis = [noise.nis(told.error, told.cov)[rows] / 3 for told in (before, after)]
+    score = [float(scores(told)[rows].mean()) for told in (before, after)]
+    order = np.argsort(after.t_s[rows], kind="stable")
+    alike = 1 + (fixes - 1) * float((after.common[rows] ** 2).mean())
+    worth = min(effective_samples(nis[1][order]), len(order) / alike)
+    low, high = anees_band(worth, 3)
+    return Consistency(
+        fixes, outage_s, int(rows.sum()), worth, float(nis[0].mean()), float(nis[1].mean()),
+        low, high, -score[0], -score[1],
+    )  # fmt: skip
