@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fgloc.config import Mode, SmoothConfig, load_config
-from fgloc.diagnosis.finding import Finding
 from fgloc.drive import Drive
 from fgloc.errors import InputError
 from fgloc.evaluation.comparison import Comparison, Method, compare_methods
@@ -18,6 +17,7 @@ from fgloc.result import Result
 from fgloc.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from fgloc.diagnosis.finding import Finding
     from fgloc.tuning.result import Tuning
 
 DriveLike = Drive | str | Path
@@ -117,7 +117,7 @@ def prepare(
     return load(drive, seed=used), config.model_copy(update={"seed": used})
 
 
-def doctor(drive: DriveLike, *, seed: int | None = None) -> list[Finding]:
+def doctor(drive: DriveLike, *, seed: int | None = None) -> "list[Finding]":
     """What is wrong with a drive, before it is fused; each finding has its numbers and a remedy.
 
     A folder that cannot be read as a drive is a finding too, and the tables that can are checked.

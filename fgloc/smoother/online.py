@@ -43,6 +43,8 @@ ALIGN_WINDOW_S = 60.0
 """Until then it holds this much of the past."""
 ALIGN_SIGMAS, ALIGN_DISTANCE_M, ALIGN_SPAN_S = 8.0, 2.0, 20.0
 """Two fixes show a course when so many sigmas, at least so far and at most so long apart."""
+OPEN_ANYWAY = 2.0
+"""After so many times the reset the gate opens to any fix, not only to two that agree."""
 EXTRA_UPDATES = 3
 """More iterations where a fix moves the state far, as at the end of an outage."""
 INFLATION = 10.0
@@ -180,8 +182,9 @@ class Online:
         S = H @ cov @ H.T + R_fix + c.bias_sigma_m**2 * np.eye(3)
         nis = float(error @ np.linalg.solve(S, error))
         fits = nis <= model.gate_nis
-        waited = model.t_s[key] - self._accepted_s > c.gate_reset_s
-        opens = waited and self._agrees_with_the_last(error, R_fix)
+        waited = float(model.t_s[key] - self._accepted_s) / c.gate_reset_s
+        agrees = self._agrees_with_the_last(error, R_fix)
+        opens = waited > (1 if agrees else OPEN_ANYWAY)
         accepted = fits or opens or not self._aligned
         self._refused = None if accepted else error
         verdicts = model.plan.verdicts["gnss"]
@@ -193,7 +196,7 @@ class Online:
         else:
             verdicts.set(row, Verdict.USED, "" if self._aligned else "before the yaw was aligned")
         if accepted and not fits and self._aligned:
-            text = f"no fix accepted for {c.gate_reset_s:g} s, and two that agree: the gate opened"
+            text = f"no fix accepted for {waited * c.gate_reset_s:.1f} s: the gate opened"
             self._event(key, "gate reset", text)
         return accepted, far
 

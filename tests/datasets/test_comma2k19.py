@@ -1,6 +1,7 @@
 """The importer of comma2k19 segments, and the sample that was made with it."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -159,7 +160,8 @@ def test_the_sample_is_what_the_importer_makes_of_the_source(source):
         sample.origin, sample.about, sample.rig.imu_noise,
     )  # fmt: skip
     assert all(made.tables[name].same_as(sample.tables[name]) for name in made.tables)
-    assert made.truth.same_as(sample.truth)
+    np.testing.assert_allclose(made.truth.R_world_veh, sample.truth.R_world_veh, atol=1e-12)
+    assert replace(made.truth, R_world_veh=None).same_as(replace(sample.truth, R_world_veh=None))
     assert (SAMPLE / "LICENSE.txt").read_bytes() == (source / "LICENSE.txt").read_bytes()
 
 
