@@ -160,6 +160,10 @@ class BorderedFactor:
         carried = self._carried[:, keep]
         return own + carried @ self.cov_border @ carried.swapaxes(-1, -2)
 
+    def inverse_border(self, keep: NDArray[np.int64]) -> Array:
+        """Rows `keep` (q,) of every block of the inverse, in the border's columns: (n, q, k)."""
+        return -self._carried[:, keep] @ self.cov_border
+
 
 class Factor(ABC):
     """The Cholesky factor L of a band."""

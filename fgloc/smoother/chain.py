@@ -11,7 +11,7 @@ from fgloc.measurements import Array
 from fgloc.smoother.band import Band, NotPositiveError, Vector
 from fgloc.smoother.newton import NEAR, Curvature, Descent
 from fgloc.smoother.states import Robustness, States
-from fgloc.smoother.terms import BIAS, GNSS_BIAS, POSE, VELOCITY, Term, Terms
+from fgloc.smoother.terms import BIAS, GNSS_BIAS, VELOCITY, Term, Terms
 from fgloc.timing import iso_utc
 
 BLOCKS_AT_ONCE = 1024
@@ -119,15 +119,20 @@ class Chain(Terms):
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
         _, band = self.linearize(states, robust, "weights")
-        keep = np.append(POSE, GNSS_BIAS) if self.width > 15 else POSE
+        fixes = self._fixes(states, np.arange(len(self.fixed)), np.inf)
         try:
-            cov = band.factor().inverse_blocks(keep)
+            factor = band.factor()
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
-        H = self._fix_residual(states).by_pose
-        if self.width > 15:
-            H = np.concatenate([H, np.broadcast_to(np.eye(3), (len(H), 3, 3))], -1)
-        return cov[:, :6, :6], H @ cov[self.fixed] @ H.swapaxes(-1, -2)
+        cov = factor.inverse_blocks(fixes.at)
+        known, J = cov[self.fixed], fixes.jacobian
+        if J.shape[2] > len(fixes.at):  # a fix also depends on what the drive shares
+            across = factor.inverse_border(fixes.at)[self.fixed]
+            shared = np.broadcast_to(factor.cov_border, (len(known), *factor.cov_border.shape))
+            known = np.block([[known, across], [across.swapaxes(-1, -2), shared]])
+        whitened = J @ known @ J.swapaxes(-1, -2)
+        L = np.linalg.inv(self._whiten_fix)
+        return cov[:, :6, :6], L @ whitened @ L.swapaxes(-1, -2)
 
     def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
         """Standard deviation in s of the fixes' lateness, None where it is not estimated."""

@@ -76,6 +76,9 @@ def test_blocks_of_the_inverse_are_those_of_the_dense_one(systems, monkeypatch, 
     for j in range(9):
         np.testing.assert_allclose(blocks[j], inverse[np.ix_(4 * j + keep, 4 * j + keep)])
     np.testing.assert_allclose(factor.cov_border, inverse[36:, 36:])
+    across = factor.inverse_border(keep)
+    for j in range(9):
+        np.testing.assert_allclose(across[j], inverse[4 * j + keep, 36:])
 
 
 @pytest.mark.parametrize("many", [0, 100])

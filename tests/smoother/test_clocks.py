@@ -85,6 +85,16 @@ def test_the_imu_of_the_real_drive_is_late_and_the_withheld_fixes_agree(run, rms
     assert np.sqrt((errors[0][300:] ** 2).mean()) < 0.8 * np.sqrt((errors[1][300:] ** 2).mean())
 
 
+def test_the_nis_of_fixes_counts_what_is_not_known_of_the_clock(city, run):
+    """As with a known clock: a fix is held against a path whose lateness the others tell."""
+    drive = city(3, 60.0)
+    estimated, known = (
+        run(drive, clock={"estimate": how}).verdicts["gnss"].nis for how in ("gnss", "none")
+    )
+    assert estimated.min() > 0
+    assert np.median(estimated) == pytest.approx(np.median(known), rel=0.1)
+
+
 @pytest.mark.parametrize("settings", [{"mode": "fixed-lag"}, {"solver": {"batch": "gtsam"}}])
 def test_estimating_takes_the_whole_drive_and_the_chain(city, run, settings):
     with pytest.raises(ConfigError, match=r"clock.estimate goes with (mode batch|solver.batch)"):
