@@ -71,7 +71,8 @@ def run_fgloc(folder: Path, factorization: str) -> dict:
     from fgloc.config import load_config
     from fgloc.datasets import open_drive
     from fgloc.evaluation import errors
-    from fgloc.smoother import Online, smooth
+    from fgloc.smoother import smooth
+    from fgloc.smoother.online import Online
 
     drive = open_drive(folder)
     step, times, rss = Online._step, [], []
