@@ -25,7 +25,7 @@ def read_csv(path: Path, layout: Layout) -> Columns:
     Raises DriveError with file, line, column, value and remedy where the file is missing, empty
     or cut off, where its header does not fit `layout`, and where a cell does not hold a number.
     """
-    raw = _bytes(path)
+    raw = read_bytes(path, "; a line with column names is needed")
     names = _header(path, raw)
     check_header(f"{path}:1", names, layout)
     columns = _parse_fast(path, raw, names)
@@ -60,7 +60,8 @@ def _exact(name: str, values: ArrayLike) -> NDArray[Any]:
     return np.asarray(values, np.int64 if is_integer(name) else np.float64)
 
 
-def _bytes(path: Path) -> bytes:
+def read_bytes(path: Path, wanted: str = "") -> bytes:
+    """What a file holds; DriveError where it is missing, unreadable or empty of what is wanted."""
     try:
         raw = path.read_bytes()
     except FileNotFoundError as err:
@@ -68,7 +69,7 @@ def _bytes(path: Path) -> bytes:
     except OSError as err:
         raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
     if not raw.strip():
-        raise DriveError(f"{path}: the file is empty; a line with column names is needed")
+        raise DriveError(f"{path}: the file is empty{wanted}")
     return raw
 
 

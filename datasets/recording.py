@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fgloc.datasets.csv_table import read_bytes
 from fgloc.datasets.drive_tables import is_covariance
 from fgloc.datasets.trajectory_columns import GEODETIC, check_increasing, check_places
 from fgloc.errors import DriveError, InputError
@@ -28,15 +29,7 @@ def read_lines(path: Path) -> list[str]:
 
     Raises DriveError where the file is missing, unreadable or empty.
     """
-    try:
-        text = path.read_bytes().decode("ascii", errors="replace")
-    except FileNotFoundError as err:
-        raise DriveError(f"{path}: no such file") from err
-    except OSError as err:
-        raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
-    if not text.strip():
-        raise DriveError(f"{path}: the file is empty")
-    return text.splitlines()
+    return read_bytes(path).decode("ascii", errors="replace").splitlines()
 
 
 def number(where: str, name: str, cell: str) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from fgloc.datasets.columns import Columns
 from fgloc.datasets.csv_table import format_rows, read_csv, write_csv
+from fgloc.datasets.recording import number
 from fgloc.datasets.trajectory_columns import (
     TRAJECTORY,
     check_increasing,
@@ -159,15 +160,5 @@ def _tum_row(where: str, text: str) -> tuple[int, list[float]]:
     if abs(t_ns) > np.iinfo(np.int64).max:
         raise DriveError(f"{where}: seconds = {cells[0]} is out of range; is it in nanoseconds?")
     return t_ns, [
-        _number(where, name, cell) for name, cell in zip(_TUM_COLUMNS[1:], cells[1:], strict=True)
+        number(where, name, cell) for name, cell in zip(_TUM_COLUMNS[1:], cells[1:], strict=True)
     ]
-
-
-def _number(where: str, name: str, cell: str) -> float:
-    try:
-        value = float(cell)
-    except ValueError as err:
-        raise DriveError(f"{where}: {name} = {cell!r} is not a number") from err
-    if not np.isfinite(value):
-        raise DriveError(f"{where}: {name} = {cell} is not finite; remove the line or repair it")
-    return value

@@ -44,12 +44,17 @@ def plan_figure(scene: Scene) -> Spec:
         )
     return {
         "data": data,
-        "layout": layout(
-            560, hovermode="closest", dragmode="pan",
-            xaxis=axis("east (m)", tickformat="~g"),
-            yaxis=axis("north (m)", tickformat="~g", scaleanchor="x", scaleratio=1),
-        ),
-    }  # fmt: skip
+        "layout": map_layout(),
+    }
+
+
+def map_layout() -> Spec:
+    """Of a picture from above: both axes in m, at one scale."""
+    return layout(
+        560, hovermode="closest", dragmode="pan",
+        xaxis=axis("east (m)", tickformat="~g"),
+        yaxis=axis("north (m)", tickformat="~g", scaleanchor="x", scaleratio=1),
+    )  # fmt: skip
 
 
 def ellipse_outlines(

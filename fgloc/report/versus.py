@@ -4,7 +4,7 @@ import numpy as np
 
 from fgloc.evaluation.comparison import MAIN, Comparison, Picture
 from fgloc.measurements import Array
-from fgloc.report.plan import HOVER
+from fgloc.report.plan import HOVER, map_layout
 from fgloc.report.scene import at_truths_point, longest_step_s
 from fgloc.report.spread import cdf_layout, cdf_line
 from fgloc.report.style import (
@@ -59,12 +59,8 @@ def plan_of_methods(picture: Picture, methods: tuple[str, ...]) -> Spec:
             data.append(_path(picture, at, method, method_style(n)))
     return {
         "data": data,
-        "layout": layout(
-            560, hovermode="closest", dragmode="pan",
-            xaxis=axis("east (m)", tickformat="~g"),
-            yaxis=axis("north (m)", tickformat="~g", scaleanchor="x", scaleratio=1),
-        ),
-    }  # fmt: skip
+        "layout": map_layout(),
+    }
 
 
 def errors_of_methods(picture: Picture, methods: tuple[str, ...]) -> Spec | None:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.errors import ConfigError, SolverError
-from fgloc.factors import gnss, imu, noise
+from fgloc.factors import imu, noise
 from fgloc.measurements import Array
 from fgloc.result import Event
 from fgloc.smoother.chain import Chain
@@ -15,6 +15,7 @@ from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, misfit, stretch
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import Robustness, StateLog, States, yaw_sigma_rad
+from fgloc.smoother.terms import fix_residual, late_fix_residual
 from fgloc.verdicts import Verdict
 
 MAX_ROUNDS = 5
@@ -180,13 +181,8 @@ def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
 
 def fix_errors(model: Model, states: States, keys: NDArray[np.int64]) -> Array:
     """Predicted minus measured antenna positions (n, 3) of the fixes at some keyframes, ENU m."""
-    z = model.fixes.p_world_ant_m[model.fix_of[keys]]
-    p, R, bias = states.p[keys], states.R[keys], states.gnss_bias[keys]
-    told = gnss.residual(p, R, z, model.lever, bias)
-    if not states.late_s:
-        return told.error
-    rate = model.epochs.rate_radps[model.epoch_of[keys]] - states.bias[keys, 3:]
-    return gnss.late_residual(told, R, states.v[keys], rate, model.lever, states.late_s).error
+    told = fix_residual(model, states, keys)
+    return late_fix_residual(model, states, keys, told).error if states.late_s else told.error
 
 
 def _leave_one_out(

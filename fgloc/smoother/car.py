@@ -40,6 +40,9 @@ class Car:
         self.has_arm = bool(self.arm.any())
         white = imu_noise.gyro_noise_radps_per_sqrt_hz / np.sqrt(self.config.still_window_s)
         self.still_rate_sigma = float(np.hypot(white, self.config.still_rate_radps))
+        self.calibration_sigmas = np.array(
+            [self.config.mounting_sigma_rad] * 2 + [self.config.scale_sigma]
+        )
         self.found = vehicle.STRAIGHT  # the calibration as last estimated
         self.slip_sigmas_mps = self._slip_sigmas()
         self.pitch_rad = self.config.pitch_rad_per_mps2 * held.ahead_mps2[at]

@@ -11,7 +11,7 @@ from fgloc.measurements import Array
 from fgloc.smoother.band import Band, NotPositiveError, Vector
 from fgloc.smoother.newton import NEAR, Curvature, Descent
 from fgloc.smoother.states import Robustness, States
-from fgloc.smoother.terms import BIAS, GNSS_BIAS, VELOCITY, Term, Terms
+from fgloc.smoother.terms import BIAS, GNSS_BIAS, VELOCITY, Term, Terms, fix_residual
 from fgloc.timing import iso_utc
 
 BLOCKS_AT_ONCE = 1024
@@ -32,11 +32,9 @@ class Chain(Terms):
         """
         biases = [*self.model.bias_sigmas, *[self.model.config.gnss.bias_sigma_m] * 3]
         scale = np.array([1.0] * 9 + biases)[: self.width]
-        v = self.model.config.vehicle
-        calibration = np.array([v.mounting_sigma_rad] * 2 + [v.scale_sigma])
         border = np.ones(self.shared)
         if self.model.car.acts:
-            border[self.car_at] = calibration**-2
+            border[self.car_at] = self.model.car.calibration_sigmas**-2
         return Vector(scale**-2, border)
 
     def first(self, n: int) -> "Chain":
@@ -58,7 +56,7 @@ class Chain(Terms):
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
         if not np.isfinite(cost):
-            far = np.abs(self._fix_residual(states).error).max(-1)
+            far = np.abs(fix_residual(self.model, states, self.fixed).error).max(-1)
             raise self._failure(int(self.fixed[np.nanargmax(far)]) * self.width)
         self.converged = descent.converged
         return result, cost, descent.iterations
@@ -77,9 +75,7 @@ class Chain(Terms):
             states.bias + step[first][:, BIAS],
             states.gnss_bias + step[:, GNSS_BIAS] if self.width > 15 else states.gnss_bias,
             states.late_s - float(back.border[self.late].sum()),
-            states.calibration - back.border[self.car_at]
-            if self.model.car.acts
-            else states.calibration,
+            calibration,
         )
 
     def linearize(

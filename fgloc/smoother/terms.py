@@ -129,16 +129,14 @@ class Terms:
 
     def _shared_priors(self, states: States) -> Iterator[Term]:
         """What is known of the unknowns of the whole drive before any measurement."""
-        v, nothing = self.model.config.vehicle, POSE[:0]
-        calibration = np.array([v.mounting_sigma_rad] * 2 + [v.scale_sigma])
         late = np.array([self.model.config.clock.sigma_s])
         for at, value, sigma in (
             (self.late, np.array([states.late_s + self.model.shifted_s]), late),
-            (self.car_at, states.calibration - vehicle.STRAIGHT, calibration),
+            (self.car_at, states.calibration - vehicle.STRAIGHT, self.model.car.calibration_sigmas),
         ):
             if at.start < at.stop:
                 J = self._border(1, at, np.diag(1 / sigma)[None])
-                yield Term(np.array([0]), nothing, (value / sigma)[None], J)
+                yield Term(np.array([0]), POSE[:0], (value / sigma)[None], J)
 
     def _border(self, n: int, at: slice, jacobian: Array) -> Array:
         """Jacobians (n, m, q) by some of the shared unknowns among those by all of them."""
@@ -181,13 +179,11 @@ class Terms:
 
     def _fixes(self, states: States, kept: NDArray[np.int64], width: float) -> Term:
         """Those fixes, counted among the chain's own."""
-        told, W, keys = self._fix_residual(states, kept), self._whiten_fix[kept], self.fixed[kept]
+        W, keys = self._whiten_fix[kept], self.fixed[kept]
+        told = fix_residual(self.model, states, keys)
         parts, at, error, border = [told.by_pose], POSE, told.error, []
         if self.late.stop:
-            rate = self.model.epochs.rate_radps[self.model.epoch_of[keys]] - states.bias[keys, 3:]
-            late = gnss.late_residual(
-                told, states.R[keys], states.v[keys], rate, self.model.lever, states.late_s
-            )
+            late = late_fix_residual(self.model, states, keys, told)
             parts, error = [late.by_pose, late.by_velocity, late.by_gyro_bias], late.error
             at = np.concatenate([POSE, VELOCITY, BIAS[3:]])
             border = [self._border(len(keys), self.late, late.by_late)]
@@ -232,13 +228,6 @@ class Terms:
         J = np.concatenate([told.by_pose, told.by_velocity, told.by_bias, border], -1)
         return Term(at, FULL, told.error / sigma, J / sigma[..., None], "huber", width)
 
-    def _fix_residual(
-        self, states: States, rows: NDArray[np.int64] | slice = slice(None)
-    ) -> gnss.GnssResidual:
-        at = self.fixed[rows]
-        z = self.model.fixes.p_world_ant_m[self.model.fix_of[at]]
-        return gnss.residual(states.p[at], states.R[at], z, self.model.lever, states.gnss_bias[at])
-
     @cached_property
     def _bias_sigmas(self) -> Array:
         """(n - 1, 6): of a real step where a bias begins, of next to nothing between copies."""
@@ -257,6 +246,22 @@ class Terms:
                  for dt in np.diff(self.model.t_s[: self.n]).tolist()]  # fmt: skip
         phi, sigma = np.array(pairs).T
         return phi, sigma
+
+
+def fix_residual(model: Model, states: States, keys: NDArray[np.int64]) -> gnss.GnssResidual:
+    """Of the fixes at some keyframes, as if they were on time."""
+    z = model.fixes.p_world_ant_m[model.fix_of[keys]]
+    p, R, bias = states.p[keys], states.R[keys], states.gnss_bias[keys]
+    return gnss.residual(p, R, z, model.lever, bias)
+
+
+def late_fix_residual(
+    model: Model, states: States, keys: NDArray[np.int64], told: gnss.GnssResidual
+) -> gnss.LateResidual:
+    """What is `told` of the same fixes, as late as the states have them."""
+    rate = model.epochs.rate_radps[model.epoch_of[keys]] - states.bias[keys, 3:]
+    R, v = states.R[keys], states.v[keys]
+    return gnss.late_residual(told, R, v, rate, model.lever, states.late_s)
 
 
 def _whitened(W: Array, error: Array) -> Array:
