@@ -21,7 +21,16 @@ if TYPE_CHECKING:
     from fgloc.evaluation.comparison import Comparison, Method
     from fgloc.evaluation.metric import Metric
     from fgloc.frames import Origin
-    from fgloc.measurements import GnssFixes, ImuSamples, SteeringAngles, WheelSpeeds
+    from fgloc.infrastructure import Infrastructure, Node
+    from fgloc.measurements import (
+        EnuVelocities,
+        GnssFixes,
+        ImuSamples,
+        NodeDetections,
+        Odometry,
+        SteeringAngles,
+        WheelSpeeds,
+    )
     from fgloc.result import Event, Result
     from fgloc.trajectory import Trajectory
     from fgloc.tuning.result import Tuning
@@ -37,7 +46,9 @@ _HOME = {
     "Rig": "drive", "ConfigError": "errors", "DriveError": "errors", "FglocError": "errors",
     "InputError": "errors", "SolverError": "errors", "Origin": "frames",
     "GnssFixes": "measurements", "ImuSamples": "measurements", "SteeringAngles": "measurements",
-    "WheelSpeeds": "measurements", "Event": "result", "Result": "result",
+    "WheelSpeeds": "measurements", "EnuVelocities": "measurements", "Odometry": "measurements",
+    "NodeDetections": "measurements", "Infrastructure": "infrastructure", "Node": "infrastructure",
+    "Event": "result", "Result": "result",
     "Trajectory": "trajectory", "Tuning": "tuning.result", "SourceVerdicts": "verdicts",
     "Verdict": "verdicts",
 }  # fmt: skip
@@ -49,15 +60,20 @@ __all__ = [
     "ConfigError",
     "Drive",
     "DriveError",
+    "EnuVelocities",
     "Event",
     "FglocError",
     "Finding",
     "GnssFixes",
     "ImuNoise",
     "ImuSamples",
+    "Infrastructure",
     "InputError",
     "Method",
     "Metric",
+    "Node",
+    "NodeDetections",
+    "Odometry",
     "Origin",
     "Result",
     "Rig",

@@ -9,7 +9,15 @@ import numpy as np
 
 from fgloc.errors import DriveError
 from fgloc.frames import Origin, is_rotation
-from fgloc.measurements import Array, GnssFixes, ImuSamples, Table, freeze
+from fgloc.infrastructure import Infrastructure
+from fgloc.measurements import (
+    Array,
+    GnssFixes,
+    ImuSamples,
+    NodeDetections,
+    Table,
+    freeze,
+)
 from fgloc.trajectory import Trajectory
 
 T = TypeVar("T", bound=Table)
@@ -41,6 +49,7 @@ class Rig:
     Raises DriveError where a shape does not fit or the IMU's axes are not a rotation.
 
     p_veh_ant_m  (3,) GNSS antenna in the vehicle frame, m
+    p_veh_box_m  (3,) centre of the box that nodes see around the vehicle, in its frame, m
     T_veh_imu    (4, 4) IMU axes and place in the vehicle frame, m
     imu_noise    or None where the drive has no IMU
     """
@@ -48,9 +57,11 @@ class Rig:
     p_veh_ant_m: Array = field(default_factory=lambda: np.zeros(3))
     T_veh_imu: Array = field(default_factory=lambda: np.eye(4))
     imu_noise: ImuNoise | None = None
+    p_veh_box_m: Array = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
-        for name, shape in (("p_veh_ant_m", (3,)), ("T_veh_imu", (4, 4))):
+        shapes = {"p_veh_ant_m": (3,), "p_veh_box_m": (3,), "T_veh_imu": (4, 4)}
+        for name, shape in shapes.items():
             array = freeze(getattr(self, name))
             if array.shape != shape or not np.isfinite(array).all():
                 raise DriveError(f"rig.{name}: expected finite numbers of shape {shape}")
@@ -79,9 +90,24 @@ class Drive:
     tables: Mapping[str, Table]
     truth: Trajectory | None = None
     about: About = About()
+    infrastructure: Infrastructure = field(default_factory=Infrastructure)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tables", MappingProxyType(dict(self.tables)))
+        for table in self.tables.values():
+            if isinstance(table, NodeDetections):
+                self._check_nodes(table)
+
+    def _check_nodes(self, table: NodeDetections) -> None:
+        """Every detection is of a node that the infrastructure has."""
+        have = len(self.infrastructure.nodes)
+        unknown = (table.node < 0) | (table.node >= have)
+        if unknown.any():
+            row = int(np.argmax(unknown))
+            raise DriveError(
+                f"drive {self.name!r}: {table.KIND} row {row}: node = {table.node[row]}, but the "
+                f"drive has {have} nodes, counted from 0; add it as [[node]] or remove the row"
+            )
 
     @property
     def gnss(self) -> GnssFixes:
