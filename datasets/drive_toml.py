@@ -10,7 +10,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field
 
 from fgloc.config import validate
-from fgloc.drive import About, Drive, ImuNoise, Rig
+from fgloc.drive import About, Drive, GnssBias, ImuNoise, Rig
 from fgloc.errors import ConfigError, DriveError, InputError
 from fgloc.frames import HEIGHT_LIMITS_M, LATITUDE_LIMITS_DEG, LONGITUDE_LIMITS_DEG, Origin
 from fgloc.infrastructure import Infrastructure, Node
@@ -57,6 +57,13 @@ class ImuNoisePart(_Part):
     gyro_bias_sigma_radps: float = Field(default=ImuNoise.gyro_bias_sigma_radps, gt=0)
 
 
+class GnssBiasPart(_Part):
+    """[rig.gnss_bias]: the fields of `GnssBias`."""
+
+    sigma_m: float = Field(gt=0)
+    tau_s: float = Field(gt=0)
+
+
 class RigPart(_Part):
     """[rig]: where the sensors sit."""
 
@@ -64,6 +71,7 @@ class RigPart(_Part):
     p_veh_box_m: Vector3 = [0.0, 0.0, 0.0]
     T_veh_imu: Matrix4 = np.eye(4).tolist()
     imu_noise: ImuNoisePart | None = None
+    gnss_bias: GnssBiasPart | None = None
 
 
 class NodePart(_Part):
@@ -75,6 +83,8 @@ class NodePart(_Part):
     sigma_position_m: float = Field(default=Node.sigma_position_m, ge=0)
     sigma_yaw_rad: float = Field(default=Node.sigma_yaw_rad, ge=0)
     range_m: float = Field(default=Node.range_m, ge=0)
+    bias_sigma_m: float = Field(default=Node.bias_sigma_m, ge=0)
+    bias_tau_s: float = Field(default=Node.bias_tau_s, gt=0)
 
 
 class TruthPart(_Part):
@@ -115,8 +125,9 @@ def to_rig(path: Path, part: RigPart) -> Rig:
     if not np.array_equal(T_veh_imu[3], [0, 0, 0, 1]):
         raise DriveError(f"{path}: the last row of rig.T_veh_imu must be [0, 0, 0, 1]")
     noise = ImuNoise(**part.imu_noise.model_dump()) if part.imu_noise else None
+    bias = GnssBias(**part.gnss_bias.model_dump()) if part.gnss_bias else None
     try:
-        return Rig(np.array(part.p_veh_ant_m), T_veh_imu, noise, np.array(part.p_veh_box_m))
+        return Rig(np.array(part.p_veh_ant_m), T_veh_imu, noise, np.array(part.p_veh_box_m), bias)
     except InputError as err:
         raise DriveError(f"{path}: {err}") from err
 
@@ -146,6 +157,8 @@ def format_toml(drive: Drive) -> str:
         rig["p_veh_box_m"] = drive.rig.p_veh_box_m.tolist()
     if drive.rig.imu_noise is not None:
         rig["imu_noise"] = _floats(dataclasses.asdict(drive.rig.imu_noise))
+    if drive.rig.gnss_bias is not None:
+        rig["gnss_bias"] = _floats(dataclasses.asdict(drive.rig.gnss_bias))
     content = {
         "format": 1,
         "name": drive.name,

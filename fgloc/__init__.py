@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fgloc.api import baseline, compare, doctor, load, make, score, smooth, tune
     from fgloc.config import SmoothConfig
     from fgloc.diagnosis.finding import Finding
-    from fgloc.drive import About, Drive, ImuNoise, Rig
+    from fgloc.drive import About, Drive, GnssBias, ImuNoise, Rig
     from fgloc.errors import ConfigError, DriveError, FglocError, InputError, SolverError
     from fgloc.evaluation.comparison import Comparison, Method
     from fgloc.evaluation.metric import Metric
@@ -48,7 +48,7 @@ _HOME = {
     "GnssFixes": "measurements", "ImuSamples": "measurements", "SteeringAngles": "measurements",
     "WheelSpeeds": "measurements", "EnuVelocities": "measurements", "Odometry": "measurements",
     "NodeDetections": "measurements", "Infrastructure": "infrastructure", "Node": "infrastructure",
-    "Event": "result", "Result": "result",
+    "GnssBias": "drive", "Event": "result", "Result": "result",
     "Trajectory": "trajectory", "Tuning": "tuning.result", "SourceVerdicts": "verdicts",
     "Verdict": "verdicts",
 }  # fmt: skip
@@ -64,6 +64,7 @@ __all__ = [
     "Event",
     "FglocError",
     "Finding",
+    "GnssBias",
     "GnssFixes",
     "ImuNoise",
     "ImuSamples",

@@ -42,6 +42,18 @@ class ImuNoise:
     gyro_bias_sigma_radps: float = 0.01
 
 
+@dataclass(frozen=True)
+class GnssBias:
+    """A slowly varying error of the fixes: first-order Gauss-Markov, each axis of ENU alike.
+
+    sigma_m  its standard deviation
+    tau_s    over which it forgets itself
+    """
+
+    sigma_m: float
+    tau_s: float
+
+
 @dataclass(frozen=True, eq=False)
 class Rig:
     """Where the sensors sit on the vehicle, and how noisy they are.
@@ -52,12 +64,14 @@ class Rig:
     p_veh_box_m  (3,) centre of the box that nodes see around the vehicle, in its frame, m
     T_veh_imu    (4, 4) IMU axes and place in the vehicle frame, m
     imu_noise    or None where the drive has no IMU
+    gnss_bias    or None where the fixes' errors are white
     """
 
     p_veh_ant_m: Array = field(default_factory=lambda: np.zeros(3))
     T_veh_imu: Array = field(default_factory=lambda: np.eye(4))
     imu_noise: ImuNoise | None = None
     p_veh_box_m: Array = field(default_factory=lambda: np.zeros(3))
+    gnss_bias: GnssBias | None = None
 
     def __post_init__(self) -> None:
         shapes = {"p_veh_ant_m": (3,), "p_veh_box_m": (3,), "T_veh_imu": (4, 4)}

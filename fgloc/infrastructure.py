@@ -8,6 +8,11 @@ import numpy as np
 from fgloc.errors import DriveError
 from fgloc.measurements import Array, freeze
 
+_LEAST = {
+    "yaw_rad": -math.inf, "sigma_position_m": 0.0, "sigma_yaw_rad": 0.0, "range_m": 0.0,
+    "bias_sigma_m": 0.0, "bias_tau_s": 1e-3,
+}  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False)
 class Node:
@@ -20,6 +25,8 @@ class Node:
     sigma_position_m  of the survey, each axis
     sigma_yaw_rad     of the survey
     range_m           beyond this the node's detections are not to be used
+    bias_sigma_m      of a slowly varying error of its positions, each axis; 0 is none
+    bias_tau_s        over which that error forgets itself (first-order Gauss-Markov)
     """
 
     name: str
@@ -28,17 +35,21 @@ class Node:
     sigma_position_m: float = 0.0
     sigma_yaw_rad: float = 0.0
     range_m: float = 100.0
+    bias_sigma_m: float = 0.0
+    bias_tau_s: float = 60.0
 
     def __post_init__(self) -> None:
         place = freeze(self.p_world_m)
         if place.shape != (3,) or not np.isfinite(place).all():
             raise DriveError(f"node {self.name!r}: p_world_m: expected three finite numbers in m")
         object.__setattr__(self, "p_world_m", place)
-        for name in ("yaw_rad", "sigma_position_m", "sigma_yaw_rad", "range_m"):
+        for name, least in _LEAST.items():
             value = getattr(self, name)
-            if not math.isfinite(value) or (name != "yaw_rad" and value < 0):
-                raise DriveError(f"node {self.name!r}: {name} = {value}: expected a finite number"
-                                 + ("" if name == "yaw_rad" else " from 0"))  # fmt: skip
+            if not math.isfinite(value) or value < least:
+                raise DriveError(
+                    f"node {self.name!r}: {name} = {value}: expected a finite number"
+                    + (f" from {least:g}" if math.isfinite(least) else "")
+                )
 
     @property
     def R_world_node(self) -> Array:

@@ -9,7 +9,7 @@ import pytest
 from fgloc.datasets.city import make_city
 from fgloc.datasets.drive_folder import read_drive, write_drive
 from fgloc.datasets.drive_tables import check_covariances
-from fgloc.drive import Drive, Rig
+from fgloc.drive import Drive, GnssBias, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
 from fgloc.infrastructure import Infrastructure, Node
@@ -58,8 +58,8 @@ def fault(folder: Path) -> str:
 
 
 def assert_same(a: Drive, b: Drive) -> None:
-    assert (a.name, a.origin, a.about, a.rig.imu_noise) == (
-        b.name, b.origin, b.about, b.rig.imu_noise,
+    assert (a.name, a.origin, a.about, a.rig.imu_noise, a.rig.gnss_bias) == (
+        b.name, b.origin, b.about, b.rig.imu_noise, b.rig.gnss_bias,
     )  # fmt: skip
     assert a.rig.p_veh_ant_m.tobytes() == b.rig.p_veh_ant_m.tobytes()
     assert a.rig.T_veh_imu.tobytes() == b.rig.T_veh_imu.tobytes()
@@ -95,7 +95,8 @@ def full_drive() -> Drive:
     steering = SteeringAngles(
         drive.imu.t_ns, drive.imu.t_ns + 7, rng.standard_normal(len(drive.imu))
     )
-    rig = dataclasses.replace(drive.rig, p_veh_box_m=np.array([1.3, -0.1, 0.8]))
+    rig = dataclasses.replace(drive.rig, p_veh_box_m=np.array([1.3, -0.1, 0.8]),
+                              gnss_bias=GnssBias(1.3, 60.0))  # fmt: skip
     drive = dataclasses.replace(drive, rig=rig, truth=truth, infrastructure=two_nodes())
     return drive.with_tables(gnss=fixes, steering=steering, **roadside(rng))
 
