@@ -16,7 +16,7 @@ from fgloc.smoother.chain import Chain, position_errors
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, misfit, stretch
 from fgloc.smoother.model import Model
-from fgloc.smoother.states import Robustness, StateLog, States, yaw_sigma_rad
+from fgloc.smoother.states import Robustness, SharedSigmas, StateLog, States, yaw_sigma_rad
 from fgloc.verdicts import Verdict
 
 MAX_ROUNDS = 8
@@ -48,8 +48,8 @@ class Solver(Protocol):
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
 
-    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
-        """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
+    def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
+        """Of what the drive shares and the graph estimates."""
 
 
 @dataclass(eq=False)
@@ -62,8 +62,8 @@ class BatchRun:
     cost: float
     yaw_sigma_rad: float
     events: tuple[Event, ...]
-    late_s: float
-    late_sigma_s: float | None
+    states: States
+    sigmas: SharedSigmas
 
 
 def run_batch(model: Model) -> BatchRun:
@@ -101,10 +101,8 @@ def run_batch(model: Model) -> BatchRun:
     sigma = yaw_sigma_rad(log.R[begin], log.cov[begin, :3, :3])
     factors = solver.factors - int(robust.gated.sum())
     events = _remarks(model, solver, robust, limits, settled=settled)
-    late_sigma_s = solver.late_sigma_s(states, robust)
-    return BatchRun(
-        log, factors, iterations, cost, sigma, events, states.late_s, late_sigma_s
-    )  # fmt: skip
+    sigmas = solver.shared_sigmas(states, robust)
+    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas)
 
 
 def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robustness, float, int]:

@@ -11,7 +11,7 @@ from fgloc.measurements import Array
 from fgloc.smoother.band import Band, NotPositiveError, Vector
 from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
-from fgloc.smoother.states import Robustness, States
+from fgloc.smoother.states import Robustness, SharedSigmas, States
 from fgloc.smoother.terms import (
     BIAS,
     POSE,
@@ -160,15 +160,20 @@ class Chain(Terms):
             predicted[kinds[s]] = L @ (J @ known @ J.swapaxes(-1, -2)) @ L.swapaxes(-1, -2)
         return cov[:, :6, :6], predicted
 
-    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
-        """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
-        if not self.late.stop:
-            return None
+    def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
+        """Of what the drive shares and this graph estimates."""
+        if not self.shared:
+            return SharedSigmas()
         _, band = self.linearize(states, robust, "weights")
         try:
-            return float(np.sqrt(band.factor().cov_border[0, 0]))
+            sigma = np.sqrt(np.diagonal(band.factor().cov_border))
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
+        return SharedSigmas(
+            float(sigma[0]) if self.late.stop else None,
+            sigma[self.offset_at] if self._estimates_offset else None,
+            {s: sigma[at] for s, at in self.survey_at.items()},
+        )
 
     def _failure(self, unknown: int) -> SolverError:
         """What to say where the normal equations cannot be solved."""

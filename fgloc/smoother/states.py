@@ -1,5 +1,6 @@
 """States of the keyframes, estimates of all epochs, and their turn to the world's tangent."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -53,6 +54,16 @@ class Robustness:
     gated: NDArray[np.bool_]
     loss_width: float
     plain: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class SharedSigmas:
+    """Standard deviations of what a drive shares, where it is estimated: lateness in s, the box's
+    centre (3,) in m, and of some sources, by number, the survey (3,) in m, m and rad."""
+
+    late_s: float | None = None
+    offset: Array | None = None
+    survey: Mapping[int, Array] = field(default_factory=dict)
 
 
 class StateLog:

@@ -11,7 +11,7 @@ from fgloc.smoother.graph import Factors, GraphModel, State
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import YAW_SIGMA_RAD
 from fgloc.smoother.solve import covariances, optimize, window_values
-from fgloc.smoother.states import Robustness, States
+from fgloc.smoother.states import Robustness, SharedSigmas, States
 from fgloc.smoother.terms import by_survey
 from fgloc.smoother.tree import as_graph
 
@@ -81,9 +81,9 @@ class Whole:
         alone = 0.0 if source.bias is None or in_graph else source.bias.sigma_m**2
         return P + alone * np.eye(3)
 
-    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
-        """None: GTSAM's graph does not estimate how late the fixes are."""
-        return None
+    def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
+        """None: they are read from the chain only."""
+        return SharedSigmas()
 
     def _graph(self, robust: Robustness) -> gtsam.NonlinearFactorGraph:
         graph = as_graph(factor for group in self.groups for factor in group)

@@ -144,7 +144,7 @@ class Bench:
             run, at = run_batch(chain.model), chain.model.epoch_of
             log, zero = run.log, np.zeros((len(at), 3))
             bias, slow = np.hstack([zero, log.gyro_bias[at]]), np.zeros((len(at), chain.width - 15))
-            self._start = States(log.R[at], log.p[at], log.v[at], bias, slow, run.late_s)
+            self._start = States(log.R[at], log.p[at], log.v[at], bias, slow, run.states.late_s)
         return self._start
 
     def _gathered(

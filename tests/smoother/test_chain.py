@@ -127,7 +127,9 @@ def test_with_each_constraint_of_the_vehicle(city, altered, asked):
 def test_with_what_a_node_sees(city, node, settings):
     drive = seen_by_a_node(city(0, 20.0), **node)
     settings = {"loss_width": 1.5, **settings}  # so that it acts on many
-    assert_same_optimum(drive, gnss={"bias_sigma_m": 1.0}, detections=settings)
+    # Slow errors and an offset leave the position of the whole drive loose: the cost is flat there.
+    solver = {"cost_tolerance": 1e-9}
+    assert_same_optimum(drive, gnss={"bias_sigma_m": 1.0}, detections=settings, solver=solver)
 
 
 def test_the_cost_anywhere_is_that_of_the_graph(city):
