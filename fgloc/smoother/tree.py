@@ -89,6 +89,10 @@ class WholeTree:
         """The present value of a pose."""
         return self._solver.calculateEstimatePose3(key)
 
+    def velocity(self, key: int) -> Array:
+        """The present value of a velocity (3,)."""
+        return np.asarray(self._solver.calculateEstimateVector(key))
+
     def bias(self, key: int) -> gtsam.imuBias.ConstantBias:
         """The present value of a bias, or of what is kept as one."""
         return self._solver.calculateEstimateConstantBias(key)
