@@ -31,6 +31,7 @@ class Car:
         self.config, self.gnss = plan.motion.vehicle, config.gnss
         at, held = plan.epochs.keyframes, plan.constraints
         self.verdicts, self.bias_of = plan.verdicts, bias_of
+        self.is_mounted = not plan.motion.is_made_up  # or there is no IMU to be askew
         self.wheels, self.wheel_source = wheel_of(drive), wheel_source(drive)
         self.velocities = Velocities(drive, plan, config.gnss)
         self.wheel_row = held.wheel_row[at]
@@ -57,7 +58,7 @@ class Car:
             return {}
         pitch_deg, yaw_deg = np.rad2deg(self.found[:2]).tolist()
         told = {"mounting_pitch_deg": pitch_deg, "mounting_yaw_deg": yaw_deg}
-        told = told if self.config.non_holonomic else {}
+        told = told if self.config.non_holonomic and self.is_mounted else {}
         return told | ({"wheel_scale": float(self.found[2])} if (self.wheel_row >= 0).any() else {})
 
     def wheel_fits(
