@@ -19,7 +19,7 @@ from fgloc.measurements import (
     Table,
     WheelSpeeds,
 )
-from fgloc.motion import Motion, firsts, sound_rows
+from fgloc.motion import UNSOUND_ODOMETRY, Motion, firsts, sound_odometry, sound_rows
 from fgloc.timing import Instants, elapsed_s, seconds_to_ns
 from fgloc.verdicts import SourceVerdicts, Verdict
 
@@ -71,8 +71,10 @@ def chosen_rows(
     wheel, velocity = wheel_of(drive), velocity_of(drive)
     if wheel is not None and motion.vehicle.wheel_speed:
         sound = np.isfinite(wheel.speed_mps) & _positive(wheel.sigma_mps)
+        source, interval_s = wheel_source(drive), motion.vehicle.interval_s
+        own = verdicts[source]
         why = "speed or sigma is not finite, or sigma is not above 0"
-        own, interval_s = verdicts[wheel_source(drive)], motion.vehicle.interval_s
+        why = UNSOUND_ODOMETRY if source == "odometry" else why
         wheels = _chosen(wheel.t_ns, sound, why, others_ns, interval_s, own)
     asked = config.motion.velocities
     if velocity is not None and (motion.is_made_up if asked is None else asked):
@@ -148,7 +150,8 @@ def wheel_of(drive: Drive) -> WheelSpeeds | None:
         return table
     table = drive.tables.get("odometry")
     if isinstance(table, Odometry) and len(table):
-        return WheelSpeeds(table.t_ns, table.received_ns, table.speed_mps, table.sigma_speed_mps)
+        speed_mps = np.where(sound_odometry(table), table.speed_mps, np.nan)
+        return WheelSpeeds(table.t_ns, table.received_ns, speed_mps, table.sigma_speed_mps)
     return None
 
 

@@ -34,6 +34,7 @@ UNKNOWN_TURN_RADPS = 0.2
 point that does not."""
 STRAIGHT_RAD = 1e-4
 """Made-up samples lie along the car's axes."""
+UNSOUND_ODOMETRY = "a speed, yaw rate or sigma is not finite, or a sigma is not above 0"
 NEVER_S = 1e9
 """Samples are never so far apart: they leave no gap."""
 MOST_STEER_RAD = 1.4
@@ -163,17 +164,20 @@ def _odometry(
     if not isinstance(table, Odometry) or not len(table):
         raise _missing(drive, "odometry", "odometry")
     sigma = table.sigma_yaw_rate_radps
-    sound = np.isfinite(table.yaw_rate_radps) & np.isfinite(sigma) & (sigma > 0)
-    sound &= np.isfinite(table.speed_mps)
-    rows = sound_rows(
-        table.t_ns, sound, "speed, yaw rate or its sigma is not finite, or the sigma is not above "
-        "0", verdicts["odometry"],
-    )  # fmt: skip
+    own = verdicts["odometry"]
+    rows = sound_rows(table.t_ns, sound_odometry(table), UNSOUND_ODOMETRY, own)
     if len(rows) < 2:
         raise DriveError(f"drive {drive.name!r}: {len(rows)} of its odometry rows are sound")
     step_s = float(np.median(np.diff(table.t_ns[rows]))) / 1e9
     density = float(np.median(sigma[rows])) * np.sqrt(step_s)
     return table.t_ns[rows], table.speed_mps[rows], table.yaw_rate_radps[rows], density
+
+
+def sound_odometry(table: Odometry) -> NDArray[np.bool_]:
+    """(N,) bool: rows whose numbers are all finite, with sigmas above 0."""
+    sigmas = np.stack([table.sigma_speed_mps, table.sigma_yaw_rate_radps])
+    values = np.stack([table.speed_mps, table.yaw_rate_radps])
+    return np.asarray(np.isfinite([*values, *sigmas]).all(0) & (sigmas > 0).all(0))
 
 
 def _bicycle(
