@@ -95,15 +95,50 @@ class ImuConfig(Section):
     """Unknown turn rate in a gap: density of its white noise, rad/s per sqrt(Hz)."""
 
 
+class MotionConfig(Section):
+    """What carries the vehicle from one state to the next, above all where there is no IMU."""
+
+    kind: Literal["auto", "imu", "constant-velocity", "odometry", "bicycle"] = "auto"
+    """auto: the IMU if the drive has one, or its odometry, or steering with wheel speeds where the
+    wheelbase is given, or a velocity that stays about the same."""
+    accel_mps2_per_sqrt_hz: float = Field(default=1.5, gt=0)
+    """Without an IMU, of the acceleration along the ground: density of its white noise, which lets
+    the speed change by so much in a second."""
+    vertical_mps2_per_sqrt_hz: float = Field(default=0.3, gt=0)
+    """Upwards: slopes come and go over some seconds."""
+    turn_radps_per_sqrt_hz: float = Field(default=0.3, gt=0)
+    """About the vertical, where nobody tells the yaw rate."""
+    tilt_radps_per_sqrt_hz: float = Field(default=0.01, gt=0)
+    """About the level axes: 0.03 rad of slope in ten seconds."""
+    steering_radps_per_sqrt_hz: float = Field(default=0.02, gt=0)
+    """Of the yaw rate that steering and wheels tell: tyres that yield."""
+    yaw_rate_bias_radps: float = Field(default=0.005, gt=0)
+    """Of a constant error of a yaw rate, which is estimated: 0.03 rad of the steering wheel at
+    20 m/s do as much."""
+    wheelbase_m: float | None = Field(default=None, gt=0)
+    """Between the axles, for steering."""
+    steering_ratio: float = Field(default=15.0, gt=0)
+    """Turn of the steering wheel for a turn of the road wheels: cars have 14 to 17."""
+    interval_s: float = Field(default=0.1, ge=1e-3, le=1e6)
+    """Without an IMU, one speed or velocity is taken in so much time."""
+    gap_s: float = Field(default=1.0, gt=0)
+    """Yaw rates further apart tell nothing of the turn between them."""
+    velocities: bool | None = None
+    """Use the drive's `velocity` rows. Default: where there is no IMU, as such rows come from
+    one."""
+
+
 class VehicleConfig(Section):
     """What may be taken for granted of a vehicle; off where the drive does not say it is a car."""
 
-    non_holonomic: bool = False
-    """The wheels do not slide sideways and the road holds the car: no speed but along its axis."""
+    non_holonomic: bool | None = None
+    """The wheels do not slide sideways and the road holds the car: no speed but along its axis.
+    Default: only where there is no IMU to tell how the vehicle points."""
     zero_velocity: bool = False
     """While the IMU shakes no more than a car at rest does, it neither moves nor turns."""
-    wheel_speed: bool = False
-    """Use the drive's wheel speeds; their scale is estimated."""
+    wheel_speed: bool | None = None
+    """Use the drive's wheel speeds, or those of its odometry; their scale is estimated. Default:
+    only where there is no IMU."""
     interval_s: float = Field(default=1.0, ge=1e-3, le=1e6)
     """One constraint, and one wheel speed, in so much time: their errors last for seconds, so more
     of them say little more."""
@@ -187,6 +222,7 @@ class SmoothConfig(Section):
     gnss: GnssConfig = GnssConfig()
     detections: DetectionConfig = DetectionConfig()
     imu: ImuConfig = ImuConfig()
+    motion: MotionConfig = MotionConfig()
     vehicle: VehicleConfig = VehicleConfig()
     clock: ClockConfig = ClockConfig()
     solver: SolverConfig = SolverConfig()

@@ -16,13 +16,15 @@ from fgloc.constraints import (
     NON_HOLONOMIC,
     STANDSTILL,
     Constraints,
-    chosen_wheel_rows,
+    chosen_rows,
     constraints,
+    velocity_of,
     wheel_of,
 )
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
 from fgloc.measurements import Array, ImuSamples
+from fgloc.motion import Motion, credit, kind_of, made_up, measured
 from fgloc.positions import Positions, measured_positions, repeats
 from fgloc.result import Event
 from fgloc.timing import Instants, elapsed_s, seconds_to_ns
@@ -69,10 +71,11 @@ class Epochs:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Epochs of a drive, the positions measured and the vehicle's constraints at them, the first
-    verdicts on every row, and what there was to remark."""
+    """Epochs of a drive, what leads from one to the next, the positions measured and the vehicle's
+    constraints at them, the first verdicts on every row, and what there was to remark."""
 
     epochs: Epochs
+    motion: Motion
     positions: Positions
     constraints: Constraints
     verdicts: dict[str, SourceVerdicts]
@@ -80,44 +83,56 @@ class Plan:
 
 
 def plan(drive: Drive, config: SmoothConfig) -> Plan:
-    """Epochs from the first usable fix to the last IMU sample.
+    """Epochs from the first usable fix to the last IMU sample, or what stands for one.
 
-    Raises DriveError where there are no fixes, no IMU, or the two do not overlap in time.
+    Raises DriveError where there are no fixes, or they do not overlap in time with the IMU.
     """
     verdicts = {
         name: SourceVerdicts.of(name, table, Verdict.UNUSED, f"no {name} factor in this method")
         for name, table in drive.tables.items()
     }
-    imu = _usable_samples(drive.imu, verdicts["imu"], drive.name)
+    motion = _motion(drive, config, verdicts)
+    imu = motion.samples
     span_ns = (int(imu.t_ns[0]), int(imu.t_ns[-1]))
     positions = measured_positions(drive, config, span_ns, verdicts)
     first, last = positions.t_ns[0], imu.t_ns[-1]
-    _judge_early(drive.imu, imu, first, verdicts["imu"])
-    gaps = _gaps(imu, first, config.imu.gap_s)
+    if not motion.is_made_up:
+        _judge_early(drive.imu, imu, first, verdicts["imu"])
+    gaps = _gaps(imu, first, motion.gap_s)
     keyframes = _merged(positions.t_ns, gaps.ravel(), [first, last])
-    wheel_rows = chosen_wheel_rows(drive, keyframes, config.vehicle, verdicts)
-    keyframes = _merged(keyframes, _times(drive, wheel_rows))
-    keyframes = _fill(keyframes, _keyframe_interval_s(config))
+    rows = chosen_rows(drive, keyframes, config, motion, verdicts)
+    credit(motion, verdicts)
+    keyframes = _merged(keyframes, *_times(drive, rows))
+    keyframes = _fill(keyframes, _keyframe_interval_s(config, motion))
     t_ns = _fill(keyframes, config.output_interval_s)
     in_gap = np.zeros(len(t_ns), bool)
     for start, end in gaps:
         in_gap |= (t_ns > start) & (t_ns <= end)
-    steps = _steps(imu, drive.rig.T_veh_imu[:3, :3], t_ns)
+    steps = _steps(imu, motion.T_veh_imu[:3, :3], t_ns)
     is_keyframe = np.zeros(len(t_ns), bool)
     is_keyframe[np.searchsorted(t_ns, keyframes)] = True
     epochs = Epochs(t_ns, is_keyframe, in_gap, *steps)
-    held = constraints(drive, imu, t_ns, epochs.is_keyframe, wheel_rows, config.vehicle)
-    _count(held, t_ns, config, verdicts)
-    return Plan(epochs, positions, held, verdicts, _gap_events(gaps))
+    held = constraints(drive, motion, t_ns, epochs.is_keyframe, rows)
+    _count(held, t_ns, motion, verdicts)
+    return Plan(epochs, motion, positions, held, verdicts, _gap_events(gaps, motion))
+
+
+def _motion(drive: Drive, config: SmoothConfig, verdicts: dict[str, SourceVerdicts]) -> Motion:
+    """The drive's IMU, or what stands for one."""
+    kind = kind_of(drive, config)
+    if kind == "imu":
+        samples = _usable_samples(drive.imu, verdicts["imu"], drive.name)
+        return measured(drive, samples, config)
+    return made_up(drive, kind, config, verdicts)
 
 
 def _count(
-    held: Constraints, t_ns: Instants, config: SmoothConfig, verdicts: dict[str, SourceVerdicts]
+    held: Constraints, t_ns: Instants, motion: Motion, verdicts: dict[str, SourceVerdicts]
 ) -> None:
     """Constraints that nobody measured get verdicts of their own, where they are asked for."""
     for name, asked, where in (
-        (NON_HOLONOMIC, config.vehicle.non_holonomic, held.in_force),
-        (STANDSTILL, config.vehicle.zero_velocity, held.stands),
+        (NON_HOLONOMIC, motion.vehicle.non_holonomic, held.in_force),
+        (STANDSTILL, motion.vehicle.zero_velocity, held.stands),
     ):
         if asked:
             at_ns = t_ns[where]
@@ -126,15 +141,15 @@ def _count(
             )
 
 
-def _times(drive: Drive, wheel_rows: NDArray[np.int64]) -> Instants:
-    wheel = wheel_of(drive)
-    return np.empty(0, np.int64) if wheel is None else wheel.t_ns[wheel_rows]
+def _times(drive: Drive, rows: tuple[NDArray[np.int64], NDArray[np.int64]]) -> tuple[Instants, ...]:
+    tables = wheel_of(drive), velocity_of(drive)
+    return tuple(t.t_ns[taken] for t, taken in zip(tables, rows, strict=True) if t is not None)
 
 
-def _keyframe_interval_s(config: SmoothConfig) -> float:
+def _keyframe_interval_s(config: SmoothConfig, motion: Motion) -> float:
     """The vehicle's constraints need states of their own where the measurements give none."""
-    asked = config.vehicle.non_holonomic or config.vehicle.zero_velocity
-    return min(config.keyframe_interval_s, config.vehicle.interval_s if asked else np.inf)
+    asked = motion.vehicle.non_holonomic or motion.vehicle.zero_velocity
+    return min(config.keyframe_interval_s, motion.vehicle.interval_s if asked else np.inf)
 
 
 def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> ImuSamples:
@@ -167,9 +182,10 @@ def _gaps(imu: ImuSamples, first_ns: int, gap_s: float) -> NDArray[np.int64]:
     return np.maximum(gaps, first_ns)
 
 
-def _gap_events(gaps: NDArray[np.int64]) -> tuple[Event, ...]:
+def _gap_events(gaps: NDArray[np.int64], motion: Motion) -> tuple[Event, ...]:
+    missing = "yaw rates" if motion.is_made_up else "IMU samples"
     return tuple(
-        Event(int(start), "imu gap", f"no IMU samples for {(end - start) / 1e9:.2f} s; "
+        Event(int(start), "imu gap", f"no {missing} for {(end - start) / 1e9:.2f} s; "
               "bridged with unknown acceleration and turn rate")
         for start, end in gaps
     )  # fmt: skip

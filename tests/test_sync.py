@@ -274,7 +274,8 @@ def test_fewer_than_two_usable_fixes_point_to_the_clocks(fix_s, usable):
         plan_of(fix_s=fix_s)
 
 
-def test_a_drive_without_imu_is_refused():
+def test_a_drive_without_imu_is_refused_where_one_is_asked_for():
     drive = Drive("test", Origin(52.0, 9.0, 0.0), Rig(), {"gnss": fixes(ns([1, 2]))})
     with pytest.raises(DriveError, match=r"'test' has no imu rows \(it has gnss\)"):
-        plan(drive, load_config())
+        plan(drive, load_config(motion={"kind": "imu"}))
+    assert plan(drive, load_config()).motion.kind == "constant-velocity"

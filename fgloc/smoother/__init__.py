@@ -106,6 +106,7 @@ def _summary(model: Model, factors: int) -> dict[str, Any]:
         "states": len(model),
         "factors": factors,
         "counts": counts(model.plan.verdicts),
+        **({"motion": motion.kind} if (motion := model.plan.motion).is_made_up else {}),
         **({"vehicle": found} if (found := model.car.summary()) else {}),
         "origin": asdict(model.drive.origin),
     }

@@ -22,7 +22,6 @@ from fgloc.factors import detection, gnss, imu, noise
 from fgloc.measurements import Array
 from fgloc.positions import GNSS
 from fgloc.smoother.model import (
-    LEVEL_SIGMA_RAD,
     POSITION_SIGMA_M,
     SPEED_SIGMA_MPS,
     Model,
@@ -86,8 +85,7 @@ class GraphModel(Model):
 
     @cached_property
     def _gap_params(self) -> gtsam.PreintegrationParams:
-        c = self.config.imu
-        return imu.parameters(c.gap_accel_mps2, c.gap_gyro_radps, self.gravity_mps2)
+        return imu.parameters(*self.gap_noise, self.gravity_mps2)
 
     def interval(self, j: int) -> Interval:
         """The samples between keyframes j - 1 and j, preintegrated at zero bias."""
@@ -103,7 +101,7 @@ class GraphModel(Model):
 
     def prior_factors(self, j: int, state: State, yaw_sigma_rad: float) -> Factors:
         """What is known before any measurement, laid on keyframe j around a guessed state."""
-        tilt = np.array([LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, yaw_sigma_rad])
+        tilt = np.array([self.level_sigma_rad] * 2 + [yaw_sigma_rad])
         diagonal = gtsam.noiseModel.Diagonal.Sigmas
         level = gtsam.Rot3.Yaw(state.pose.rotation().yaw())
         place = self.first_place_m if j == 0 else state.pose.translation()

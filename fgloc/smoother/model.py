@@ -9,10 +9,10 @@ of positions, if there is one, belongs to each of its rows.
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fgloc.config import SmoothConfig
-from fgloc.drive import Drive, ImuNoise
+from fgloc.drive import Drive, ImuNoise, Noise
 from fgloc.errors import DriveError
 from fgloc.factors import gnss, imu
 from fgloc.factors.preintegration import preintegrate
@@ -23,8 +23,6 @@ from fgloc.smoother.car import Car
 from fgloc.sync import Plan
 from fgloc.timing import elapsed_s
 
-LEVEL_SIGMA_RAD = 0.2
-"""A road vehicle is level to this at the start."""
 YAW_SIGMA_RAD = 10.0
 """Nothing is known of the yaw: so wide that the guess it is laid around leaves no trace."""
 POSITION_SIGMA_M = 100.0
@@ -43,7 +41,7 @@ class Model:
         self.epochs = plan.epochs
         self.positions = plan.positions
         self.sources = position_sources(drive, config)
-        self.p_veh_imu_m = np.array(drive.rig.T_veh_imu[:3, 3])
+        self.p_veh_imu_m = np.array(plan.motion.T_veh_imu[:3, 3])
         self.levers = [source.p_veh_m - self.p_veh_imu_m for source in self.sources]
         self.point_by_pose = [np.hstack([-skew(lever), np.eye(3)]) for lever in self.levers]
         self.slow = [s for s, source in enumerate(self.sources) if source.bias is not None]
@@ -51,8 +49,10 @@ class Model:
         self.t_ns = self.epochs.t_ns[self.epoch_of]
         self.t_s = elapsed_s(self.t_ns, int(self.t_ns[0]))
         self.key_of = np.searchsorted(self.t_ns, self.positions.t_ns)
-        self.noise = _imu_noise(drive, config)
-        self.gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
+        self.noise: Noise = plan.motion.noise or _imu_noise(drive, config)
+        self.level_sigma_rad = plan.motion.level_sigma_rad
+        gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
+        self.gravity_mps2 = 0.0 if plan.motion.is_made_up else gravity_mps2
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
         self.shifted_s = 0.0  # by how much an estimated lateness has moved the fixes already
         self.car = self._car()
@@ -81,7 +81,8 @@ class Model:
     def bias_sigmas(self) -> Array:
         """How far the IMU's biases (6,) may be from zero at the start: m/s^2, then rad/s."""
         n = self.noise
-        return np.array([n.accel_bias_sigma_mps2] * 3 + [n.gyro_bias_sigma_radps] * 3)
+        sigmas = n.accel_bias_sigma_mps2, n.gyro_bias_sigma_radps
+        return np.concatenate([np.broadcast_to(sigma, 3) for sigma in sigmas])
 
     @cached_property
     def cov_world_m2(self) -> Array:
@@ -120,10 +121,19 @@ class Model:
         return out.take(is_keyframe), out.take(~is_keyframe)
 
     def _densities(self, epochs: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Noise of accelerometer and gyro (n,) on the way to some epochs, in a gap or not."""
-        n, c, gap = self.noise, self.config.imu, self.epochs.in_gap[epochs]
-        return (np.where(gap, c.gap_accel_mps2, n.accel_noise_mps2_per_sqrt_hz),
-                np.where(gap, c.gap_gyro_radps, n.gyro_noise_radps_per_sqrt_hz))  # fmt: skip
+        """Noise of accelerometer and gyro on the way to some epochs, in a gap or not: (n,), or
+        (n, 3) where the axes are not alike."""
+        n, gap = self.noise, self.epochs.in_gap[epochs]
+        plain = n.accel_noise_mps2_per_sqrt_hz, n.gyro_noise_radps_per_sqrt_hz
+        gap = gap if np.ndim(plain[0]) == 0 else gap[:, None]
+        accel, gyro = (np.where(gap, *pair) for pair in zip(self.gap_noise, plain, strict=True))
+        return accel, gyro
+
+    @property
+    def gap_noise(self) -> tuple[ArrayLike, ArrayLike]:
+        """Densities in a gap, of accelerometer and gyro: for all axes, or (3,)."""
+        c = self.config.imu
+        return self.plan.motion.gap_noise or (c.gap_accel_mps2, c.gap_gyro_radps)
 
 
 def _imu_noise(drive: Drive, config: SmoothConfig) -> ImuNoise:

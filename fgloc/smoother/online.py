@@ -326,7 +326,7 @@ class Online:
         sigma = yaw_sigma_rad(self._states[j].pose.rotation().matrix(), self._covs[j][:3, :3])
         if self.yaw_observable_ns is None and sigma < OBSERVED_YAW_RAD:
             self.yaw_observable_ns = int(self.model.t_ns[j])
-        if sigma < SETTLED_YAW_RAD:
+        if sigma < SETTLED_YAW_RAD or self.model.plan.motion.forgets_yaw:
             self._settled = True
             if isinstance(self._tree, FixedLagTree):
                 self._tree.shorten(self._held_s())

@@ -22,10 +22,10 @@ from fgloc.factors import detection, gnss, imu, noise, vehicle
 from fgloc.frames import log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
 from fgloc.measurements import Array
 from fgloc.positions import DETECTIONS, GNSS
+from fgloc.smoother import velocities
 from fgloc.smoother.car import SLIP_WIDTH, STILL_WIDTH, WHEEL_WIDTH
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import (
-    LEVEL_SIGMA_RAD,
     POSITION_SIGMA_M,
     SPEED_SIGMA_MPS,
     YAW_SIGMA_RAD,
@@ -109,6 +109,7 @@ class Terms:
             held += car.in_force[: self.n].sum()
         shared = (self.late.stop > 0) + bool(car.acts) + len(self.survey_at)
         shared += self.offset_at.start < self.offset_at.stop
+        held += (car.velocities.row[: self.n] >= 0).sum()
         return int(3 + chains + steps + shared + held) + self.rows
 
     def at(self, states: States, robust: Robustness, first: int, stop: int) -> Iterator[Term]:
@@ -125,13 +126,18 @@ class Terms:
             yield self._positions(states, s, kept[self.source[kept] == s], robust.loss_width)
         if self.model.car.acts or self.model.car.stands.any():
             yield from self._constraints(states, first, stop)
+        told = self.model.car.velocities
+        if len(keys := told.keys[slice(*np.searchsorted(told.keys, [first, min(stop, self.n)]))]):
+            eye = np.eye(3) / told.sigma_mps[keys, None, None]
+            error = told.whitened(states.v, keys)
+            yield Term(keys, VELOCITY, error, eye, "huber", velocities.WIDTH)
 
     def _priors(self, states: States) -> Iterator[Term]:
         """What is known of keyframe 0 before any measurement."""
         first = np.array([0])
         R, p = states.R[:1], states.p[:1]
         turn = log_so3(self._prior_R.swapaxes(-1, -2) @ R)
-        tilt = np.array([LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, YAW_SIGMA_RAD])
+        tilt = np.array([self.model.level_sigma_rad] * 2 + [YAW_SIGMA_RAD])
         yield Term(first, POSE[:3], turn / tilt, right_jacobian_inverse_so3(turn) / tilt[:, None])
         yield Term(first, POSE[3:], (p - self.model.first_place_m) / POSITION_SIGMA_M,
                    R / POSITION_SIGMA_M)  # fmt: skip

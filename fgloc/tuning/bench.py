@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
-from fgloc.drive import Drive, ImuNoise
+from fgloc.drive import Drive, ImuNoise, Noise
+from fgloc.errors import DriveError
 from fgloc.factors.imu import ImuDeltas
 from fgloc.measurements import Array
 from fgloc.smoother import clocks
@@ -65,7 +66,7 @@ class Motion:
         self._by_accel = _preintegrated(model, {GYRO: NOTHING}).cov - self._deltas.cov
         self._by_gyro = _preintegrated(model, {ACCEL: NOTHING}).cov - self._deltas.cov
 
-    def under(self, noise: ImuNoise) -> ImuDeltas:
+    def under(self, noise: Noise) -> ImuDeltas:
         """What the IMU tells with some noise."""
         accel, gyro = (
             (getattr(noise, key) / getattr(self._noise, key)) ** 2 for key in (ACCEL, GYRO)
@@ -92,6 +93,11 @@ class Bench:
         self.drive = clocks.on_time(drive, config)
         self.plan = plan(self.drive, config)
         model = Model(self.drive, self.plan, plain(config))
+        if not isinstance(model.noise, ImuNoise):
+            raise DriveError(
+                f"drive {drive.name!r}: its states are carried by {self.plan.motion.kind}, and "
+                "tuning finds the noise of an IMU"
+            )
         self.noise = model.noise
         self.fix_t_s = model.t_s[model.key_of]
         self.outliers = np.zeros(len(self.fix_t_s), bool)
