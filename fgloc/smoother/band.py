@@ -53,25 +53,26 @@ class Band:
         self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
 
-    def portion(self, first: int, stop: int) -> "Portion":
-        """Room for the terms that begin in blocks first..stop - 1; give it to `take` when full."""
-        n, d, k = self.border.shape
-        return Portion(first, min(stop, n), d, k)
+    def add(
+        self, blocks: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array
+    ) -> None:
+        """Add M terms: one for each of some blocks (increasing, none twice).
 
-    def take(self, portion: "Portion") -> None:
-        """Add a portion's terms."""
-        n, d, width = self.columns.shape
-        first, stop = portion.first, portion.stop
-        end = min(stop + 1, n)
-        for c in range(d):
-            self.columns[first:stop, c, : width - c] += portion.blocks[:-1, c, c:]
-        if stop < n:
-            for c in range(d):
-                self.columns[stop, c, : d - c] += portion.blocks[-1, c, c:d]
-        self.border[first:end] += portion.border[: end - first]
-        self.corner += portion.corner
-        self.gradient.blocks[first:end] += portion.gradient.blocks[: end - first]
-        self.gradient.border[:] += portion.gradient.border
+        curvature is (M, q, q) and gradient (M, q), of the unknowns `at` (up to q,), increasing;
+        they are counted from the start of the block, and on into the next block from d on. If q is
+        more, the rest are the border's k.
+        """
+        d, m = self.columns.shape[1], len(at)
+        here, after = _span(blocks), _span(blocks + 1)
+        for c, unknown in enumerate(at.tolist()):
+            rows, place = (here, unknown) if unknown < d else (after, unknown - d)
+            further = _span(at[c:] - unknown)
+            target = self.columns[:, place]
+            target[_both(rows, further)] += curvature[:, c, c:m]
+            self.gradient.blocks[rows, place] += gradient[:, c]
+            self.border[rows, place] += curvature[:, c, m:] if m < curvature.shape[1] else 0.0
+        self.corner += curvature[:, m:, m:].sum(0) if m < curvature.shape[1] else 0.0
+        self.gradient.border[:] += gradient[:, m:].sum(0) if m < curvature.shape[1] else 0.0
 
     def factor(self, damping: Vector | None = None, *, often: bool = False) -> "BorderedFactor":
         """The Cholesky factor, with a damping (d,) and (k,) on the diagonal; H may be overwritten.
@@ -85,53 +86,6 @@ class Band:
             corner = corner + np.diag(damping.border)
         few = len(self.columns) < MANY_BLOCKS and not often
         return BorderedFactor((_Blocks if few else _Lapack)(self.columns), self.border, corner)
-
-
-class Portion:
-    """Terms of consecutive blocks, with room for all of H between a block and itself or the next.
-
-    `blocks` is (m + 1, d, 2 d): the last is what the terms say of the block after them.
-    """
-
-    def __init__(self, first: int, stop: int, d: int, k: int) -> None:
-        self.first, self.stop = first, stop
-        m = stop - first + 1
-        self.blocks = np.zeros((m, d, 2 * d))
-        self.border, self.corner = np.zeros((m, d, k)), np.zeros((k, k))
-        self.gradient = Vector(np.zeros((m, d)), np.zeros(k))
-
-    def add(
-        self, blocks: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array
-    ) -> None:
-        """Add M terms: one for each of some blocks (increasing, none twice).
-
-        curvature is (M, q, q) and gradient (M, q), of the unknowns `at` (up to q,), increasing;
-        they are counted from the start of the block, and on into the next block from d on. If q is
-        more, the rest are the border's k.
-        """
-        d = self.gradient.blocks.shape[1]
-        n, m = int(np.searchsorted(at, d)), len(at)
-        rows, here, after = blocks - self.first, at[:n], at[n:]
-        if n:
-            self._add(rows, here, curvature[:, :n], gradient[:, :n], here, slice(n), m)
-        if n < m:
-            _add(self.blocks, (rows, here, after), curvature[:, :n, n:m])
-            part = slice(n, m)
-            self._add(rows + 1, after - d, curvature[:, n:m], gradient[:, n:m], after - d, part, m)
-        if m < curvature.shape[1]:
-            self.corner += curvature[:, m:, m:].sum(0)
-            self.gradient.border[:] += gradient[:, m:].sum(0)
-
-    def _add(
-        self, rows: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array,
-        columns: NDArray[np.int64], part: slice, m: int,
-    ) -> None:  # fmt: skip
-        """One block's own share of the terms, and what ties it to the border."""
-        _add(self.blocks, (rows, at, columns), curvature[:, :, part])
-        _add(self.gradient.blocks, (rows, at), gradient)
-        if m < curvature.shape[2]:
-            border = np.arange(self.corner.shape[0])
-            _add(self.border, (rows, at, border), curvature[:, :, m:])
 
 
 class BorderedFactor:
@@ -307,10 +261,15 @@ def _inverse_of_lower(L: Array) -> Array:
     return inverse
 
 
-def _add(target: Array, index: tuple[NDArray[np.int64], ...], values: Array) -> None:
-    """Add to the rows and columns of some indices; by slices where they can be, which is quick."""
-    spans = [slice(int(i[0]), int(i[-1]) + 1) for i in index]
-    if all(s.stop - s.start == len(i) for s, i in zip(spans, index, strict=True)):
-        target[tuple(spans)] += values
-    else:
-        target[np.ix_(*index)] += values
+def _span(index: NDArray[np.int64]) -> NDArray[np.int64] | slice:
+    """An increasing index (n >= 1,), as a slice where it can be one: that is much quicker."""
+    first, last = int(index[0]), int(index[-1])
+    return slice(first, last + 1) if last - first == len(index) - 1 else index
+
+
+def _both(
+    rows: NDArray[np.int64] | slice, columns: NDArray[np.int64] | slice
+) -> tuple[NDArray[np.int64] | slice, NDArray[np.int64] | slice]:
+    """An index of all rows in all columns."""
+    arrays = not isinstance(rows, slice) and not isinstance(columns, slice)
+    return (rows[:, None], columns) if arrays else (rows, columns)  # type: ignore[call-overload]

@@ -20,22 +20,15 @@ def systems(request, monkeypatch):
     monkeypatch.setattr(band, "MANY_BLOCKS", 100 if request.param == "numpy" else 0)
     rng = np.random.default_rng(0)
     banded, H, g = Band(9, 4, 2), np.zeros((38, 38)), np.zeros(38)
-    portions = [banded.portion(0, 5), banded.portion(5, 20)]
     for blocks, at in TERMS:
         q = len(at) + 2 * (len(blocks) < 5)  # some know the border, some do not
         J, error = rng.normal(size=(len(blocks), 6, q)), rng.normal(size=(len(blocks), 6))
         curvature, gradient = J.swapaxes(1, 2) @ J, np.einsum("nm,nmq->nq", error, J)
-        for portion in portions:
-            rows = [k for k, j in enumerate(blocks) if portion.first <= j < portion.stop]
-            if rows:
-                those = np.array(blocks)[rows]
-                portion.add(those, np.array(at), curvature[rows], gradient[rows])
+        banded.add(np.array(blocks), np.array(at), curvature, gradient)
         for j, square, slope in zip(blocks, curvature, gradient, strict=True):
             rows = np.append(4 * j + np.array(at), [36, 37])[:q]
             H[np.ix_(rows, rows)] += square
             g[rows] += slope
-    for portion in portions:
-        banded.take(portion)
     return banded, H, g
 
 
@@ -85,9 +78,7 @@ def test_blocks_of_the_inverse_are_those_of_the_dense_one(systems, monkeypatch, 
 def test_what_nothing_holds_is_named(monkeypatch, many):
     monkeypatch.setattr(band, "MANY_BLOCKS", many)
     banded = Band(3, 2)
-    portion = banded.portion(0, 3)
-    portion.add(np.array([0, 2]), np.arange(2), np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)))
-    banded.take(portion)
+    banded.add(np.array([0, 2]), np.arange(2), np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)))
     with pytest.raises(NotPositiveError) as caught:
         banded.factor()
     assert caught.value.unknown == 2
@@ -95,9 +86,7 @@ def test_what_nothing_holds_is_named(monkeypatch, many):
 
 def test_a_border_that_nothing_holds_is_named():
     banded = Band(3, 2, 1)
-    portion = banded.portion(0, 3)
-    portion.add(np.arange(3), np.arange(2), np.tile(np.eye(2), (3, 1, 1)), np.zeros((3, 2)))
-    banded.take(portion)
+    banded.add(np.arange(3), np.arange(2), np.tile(np.eye(2), (3, 1, 1)), np.zeros((3, 2)))
     with pytest.raises(NotPositiveError) as caught:
         banded.factor()
     assert caught.value.unknown == 6
