@@ -23,6 +23,9 @@ MANY_BLOCKS = 2000
 to about this many."""
 
 
+Index = NDArray[np.int64] | slice
+
+
 class NotPositiveError(Exception):
     """The matrix is not positive definite; `unknown` is the first that nothing holds."""
 
@@ -261,15 +264,14 @@ def _inverse_of_lower(L: Array) -> Array:
     return inverse
 
 
-def _span(index: NDArray[np.int64]) -> NDArray[np.int64] | slice:
+def _span(index: NDArray[np.int64]) -> Index:
     """An increasing index (n >= 1,), as a slice where it can be one: that is much quicker."""
     first, last = int(index[0]), int(index[-1])
     return slice(first, last + 1) if last - first == len(index) - 1 else index
 
 
-def _both(
-    rows: NDArray[np.int64] | slice, columns: NDArray[np.int64] | slice
-) -> tuple[NDArray[np.int64] | slice, NDArray[np.int64] | slice]:
+def _both(rows: Index, columns: Index) -> tuple[Index, Index]:
     """An index of all rows in all columns."""
-    arrays = not isinstance(rows, slice) and not isinstance(columns, slice)
-    return (rows[:, None], columns) if arrays else (rows, columns)  # type: ignore[call-overload]
+    if isinstance(rows, slice) or isinstance(columns, slice):
+        return rows, columns
+    return rows[:, None], columns

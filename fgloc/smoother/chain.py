@@ -8,7 +8,7 @@ from fgloc.errors import SolverError
 from fgloc.factors import noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
-from fgloc.smoother.band import Band, NotPositiveError, Vector
+from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
 from fgloc.smoother.newton import NEAR, Curvature, Descent
 from fgloc.smoother.states import Robustness, States
 from fgloc.smoother.terms import BIAS, GNSS_BIAS, VELOCITY, Term, Terms, fix_residual
@@ -22,6 +22,7 @@ class Chain(Terms):
     """The first n keyframes of a model, ready to be solved; `converged` is of the last time."""
 
     converged = True
+    _last: tuple[States, Robustness, BorderedFactor] | None = None
 
     @cached_property
     def damping(self) -> Vector:
@@ -48,6 +49,7 @@ class Chain(Terms):
 
         Raises SolverError that names the state and its time.
         """
+        self._last = None
         solver = self.model.config.solver
         descent = Descent(self, robust, solver.max_iterations)
         try:
@@ -59,6 +61,8 @@ class Chain(Terms):
             far = np.abs(fix_residual(self.model, states, self.fixed).error).max(-1)
             raise self._failure(int(self.fixed[np.nanargmax(far)]) * self.width)
         self.converged = descent.converged
+        if descent.factor is not None:
+            self._last = result, robust, descent.factor
         return result, cost, descent.iterations
 
     def moved(self, states: States, back: Vector) -> States:
@@ -99,7 +103,7 @@ class Chain(Terms):
                     value = float((e * e).sum()) / 2
                     gradient = np.matmul(e[:, None], J)[:, 0]
                 cost += value
-                # As a stack of its own: of a mere view numpy takes the product several times slower.
+                # As a stack of its own: numpy's product of a mere view takes several times as long.
                 back = np.ascontiguousarray(J.swapaxes(-1, -2))
                 band.add(term.blocks, term.at, back @ J, gradient)
         self._share_biases(band.gradient.blocks)
@@ -114,12 +118,8 @@ class Chain(Terms):
 
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
-        _, band = self.linearize(states, robust, "weights")
+        factor = self._factor(states, robust)
         fixes = self._fixes(states, np.arange(len(self.fixed)), np.inf)
-        try:
-            factor = band.factor()
-        except NotPositiveError as err:
-            raise self._failure(err.unknown) from err
         cov = factor.inverse_blocks(fixes.at)
         known, J = cov[self.fixed], fixes.jacobian
         if J.shape[2] > len(fixes.at):  # a fix also depends on what the drive shares
@@ -134,9 +134,15 @@ class Chain(Terms):
         """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
         if not self.late.stop:
             return None
+        return float(np.sqrt(self._factor(states, robust).cov_border[0, 0]))
+
+    def _factor(self, states: States, robust: Robustness) -> BorderedFactor:
+        """Of reweighted least squares at some states; of the optimum just found it is there."""
+        if self._last is not None and self._last[0] is states and self._last[1] is robust:
+            return self._last[2]
         _, band = self.linearize(states, robust, "weights")
         try:
-            return float(np.sqrt(band.factor().cov_border[0, 0]))
+            return band.factor()
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
 
