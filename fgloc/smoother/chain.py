@@ -8,13 +8,15 @@ from fgloc.errors import SolverError
 from fgloc.factors import noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
+from fgloc.smoother import sketch
 from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
+from fgloc.smoother.guess import misfit
 from fgloc.smoother.newton import NEAR, Curvature, Descent
 from fgloc.smoother.states import Robustness, States
 from fgloc.smoother.terms import BIAS, GNSS_BIAS, VELOCITY, Term, Terms, fix_residual
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 1024
+BLOCKS_AT_ONCE = 512
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
@@ -45,11 +47,14 @@ class Chain(Terms):
     def optimum(
         self, states: States, robust: Robustness, *, rough: bool = False
     ) -> tuple[States, float, int]:
-        """The states of least cost, that cost and the iterations; `rough` stops when near.
+        """The states of least cost, that cost and the iterations; `rough` stops when near, and may
+        give the states and the cost of a sketch.
 
         Raises SolverError that names the state and its time.
         """
         self._last = None
+        if rough and (sketched := self._sketch(states)) is not None:
+            return sketched
         solver = self.model.config.solver
         descent = Descent(self, robust, solver.max_iterations)
         try:
@@ -64,6 +69,23 @@ class Chain(Terms):
         if descent.factor is not None:
             self._last = result, robust, descent.factor
         return result, cost, descent.iterations
+
+    def _sketch(self, states: States) -> tuple[States, float, int] | None:
+        """States, cost and iterations of a sketch, or None where there is none that fits."""
+        keys = sketch.few_keyframes(self.model, self.n)
+        if keys is None:
+            return None
+        model = sketch.few_model(self.model, keys)
+        few = Chain(model, self._prior, sketch.few_deltas(self.deltas, keys))
+        nothing = Robustness(np.zeros(len(few.fixed), bool), np.inf, plain=True)
+        try:
+            found, cost, iterations = few.optimum(states.take(keys), nothing, rough=True)
+        except SolverError:  # the whole chain may do better, or say where it fails
+            return None
+        if not cost <= misfit(len(few.fixed)):
+            return None
+        g = model.gravity_mps2
+        return sketch.all_states(found, keys, self.deltas, self.bias_of, g), cost, iterations
 
     def moved(self, states: States, back: Vector) -> States:
         """The states after a step back along a vector of their tangents; copies stay alike."""

@@ -1,6 +1,7 @@
 """States of the keyframes, estimates of all epochs, and their turn to the world's tangent."""
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,12 @@ class States:
 
     def first(self, n: int) -> "States":
         """Those of the first n keyframes."""
+        return self.take(slice(n))
+
+    def take(self, rows: Any) -> "States":
+        """Those of the keyframes that a slice, mask or index array selects."""
         own = ("R", "p", "v", "bias", "gnss_bias")
-        return replace(self, **{name: getattr(self, name)[:n] for name in own})
+        return replace(self, **{name: getattr(self, name)[rows] for name in own})
 
     @classmethod
     def of(cls, guess: Guess) -> "States":
