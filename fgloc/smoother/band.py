@@ -6,8 +6,11 @@ in a fraction of a second, and the blocks of the inverse follow from the factor.
 all blocks share stand in a border, [[H, B], [B', C]], and are solved for by its Schur complement.
 """
 
-from abc import ABC, abstractmethod
-from typing import NamedTuple
+from functools import cache
+from importlib.machinery import PathFinder
+from importlib.util import module_from_spec
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +19,6 @@ from fgloc.measurements import Array
 
 BLOCKS_AT_ONCE = 4096
 """The inverse is taken in portions of so many blocks, which bounds the memory."""
-AT_A_TIME = 4
-"""Blocks that numpy factorises in one call: fewer and the calls cost more than the arithmetic."""
-MANY_BLOCKS = 2000
-"""From here on LAPACK pays: a step through numpy for each block costs less than importing scipy, up
-to about this many."""
-
-
 Index = NDArray[np.int64] | slice
 
 
@@ -77,18 +73,16 @@ class Band:
         self.corner += curvature[:, m:, m:].sum(0) if m < curvature.shape[1] else 0.0
         self.gradient.border[:] += gradient[:, m:].sum(0) if m < curvature.shape[1] else 0.0
 
-    def factor(self, damping: Vector | None = None, *, often: bool = False) -> "BorderedFactor":
-        """The Cholesky factor, with a damping (d,) and (k,) on the diagonal; H may be overwritten.
+    def factor(self, damping: Vector | None = None) -> "BorderedFactor":
+        """The Cholesky factor, with a damping (d,) and (k,) on the diagonal, in the place of H.
 
-        `often` says that many are to come, which is worth importing scipy for. Raises
-        NotPositiveError.
+        Raises NotPositiveError.
         """
         corner = self.corner
         if damping is not None:
             self.columns[:, :, 0] += damping.blocks
             corner = corner + np.diag(damping.border)
-        few = len(self.columns) < MANY_BLOCKS and not often
-        return BorderedFactor((_Blocks if few else _Lapack)(self.columns), self.border, corner)
+        return BorderedFactor(Factor(self.columns), self.border, corner)
 
 
 class BorderedFactor:
@@ -113,7 +107,7 @@ class BorderedFactor:
 
     def inverse_blocks(self, keep: NDArray[np.int64]) -> Array:
         """Rows and columns `keep` (q,) of the n diagonal blocks of the inverse, (n, q, q)."""
-        own = self._factor.inverse_blocks(len(self._border), keep)
+        own = self._factor.inverse_blocks(keep)
         carried = self._carried[:, keep]
         return own + carried @ self.cov_border @ carried.swapaxes(-1, -2)
 
@@ -122,126 +116,77 @@ class BorderedFactor:
         return -self._carried[:, keep] @ self.cov_border
 
 
-class Factor(ABC):
-    """The Cholesky factor L of a band."""
+class Factor:
+    """The Cholesky factor L of a band, in the place of H."""
 
-    @abstractmethod
+    def __init__(self, columns: Array) -> None:
+        n, d, width = columns.shape
+        band, failed = _lapack().dpbtrf(columns.reshape(n * d, width).T, lower=1, overwrite_ab=1)
+        if failed:
+            raise NotPositiveError(failed - 1)
+        self._columns = band.T.reshape(n, d, width)
+
     def solve(self, right: Array) -> Array:
         """X (n, d, k) of H X = right (n, d, k)."""
+        n, d, width = self._columns.shape
+        columns = right.reshape(n * d, -1)
+        x, _ = _lapack().dpbtrs(self._columns.reshape(n * d, width).T, columns, lower=1)
+        return np.asarray(x).reshape(right.shape)
 
-    @abstractmethod
-    def blocks(self, rows: slice) -> tuple[Array, Array]:
-        """The inverses of L_jj and the L_j+1,j of some blocks, both (m, d, d)."""
-
-    def inverse_blocks(self, n: int, keep: NDArray[np.int64]) -> Array:
+    def inverse_blocks(self, keep: NDArray[np.int64]) -> Array:
         """Rows and columns `keep` (q,) of the n diagonal blocks of H^-1, (n, q, q).
 
         S_j = L_jj^-T (I + L_j+1,j' S_j+1 L_j+1,j) L_jj^-1 from the last block back (the selected
-        inverse of Takahashi et al. 1973).
+        inverse of Takahashi et al. 1973). The blocks of a portion are cut into runs, which are
+        gone through side by side: first as if nothing came after a run, and with the product of
+        all L_k+1,k L_kk^-1 from each block to the run's end; that brings in, run by run from the
+        last, what comes after.
         """
+        n, d, _ = self._columns.shape
         out = np.empty((n, len(keep), len(keep)))
-        last: Array | None = None
+        after = np.zeros((d, d))
         for stop in range(n, 0, -BLOCKS_AT_ONCE):
             rows = slice(max(stop - BLOCKS_AT_ONCE, 0), stop)
-            inverse, across = self.blocks(rows)
-            own = inverse.swapaxes(-1, -2) @ inverse
-            carried = across @ inverse
-            for j in reversed(range(len(own))):
-                if last is not None:
-                    C = carried[j]
-                    own[j] += C.T @ last @ C
-                last = own[j]
-            out[rows] = own[:, keep[:, None], keep]
+            S, C = self._steps(rows)
+            for run in reversed(range(len(S))):
+                S[run] += C[run].swapaxes(-1, -2) @ after @ C[run]
+                after = S[run, 0]
+            blocks = S.reshape(-1, d, d)[rows.start - rows.stop :]
+            out[rows] = blocks[:, keep[:, None], keep]
         return out
 
+    def _steps(self, rows: slice) -> tuple[Array, Array]:
+        """Of blocks in runs (runs, length, d, d), as if the last of each were the last of all:
+        their S, and by what the S of the first block after the run comes in. Where the number does
+        not divide, blocks that change nothing stand before the first."""
+        L = _unfolded(self._columns[rows])
+        m, d = len(L), L.shape[-1]
+        length = max(int(np.sqrt(m)), 1)
+        runs = -(-m // length)
+        S, C = np.zeros((runs, length, d, d)), np.zeros((runs, length, d, d))
+        C[:] = np.eye(d)
+        inverse = _inverse_of_lower(L[:, :d])
+        S.reshape(-1, d, d)[-m:] = inverse.swapaxes(-1, -2) @ inverse
+        C.reshape(-1, d, d)[-m:] = L[:, d:] @ inverse
+        for k in reversed(range(length - 1)):
+            S[:, k] += C[:, k].swapaxes(-1, -2) @ S[:, k + 1] @ C[:, k]
+            C[:, k] = C[:, k + 1] @ C[:, k]
+        return S, C
 
-class _Lapack(Factor):
-    """By LAPACK's banded Cholesky, in the place of H."""
 
-    def __init__(self, columns: Array) -> None:
+@cache
+def _lapack() -> Any:
+    """scipy's LAPACK by itself: all of scipy.linalg takes longer to import than this to run."""
+    import scipy
+
+    spec = PathFinder.find_spec("_flapack", [str(Path(scipy.__file__).parent / "linalg")])
+    if spec is None or spec.loader is None:
         from scipy.linalg import lapack
 
-        n, d, width = columns.shape
-        band, failed = lapack.dpbtrf(columns.reshape(n * d, width).T, lower=1, overwrite_ab=1)
-        if failed:
-            raise NotPositiveError(failed - 1)
-        self.columns = band.T.reshape(n, d, width)
-
-    def solve(self, right: Array) -> Array:
-        from scipy.linalg import lapack
-
-        n, d, width = self.columns.shape
-        columns = right.reshape(n * d, -1)
-        x, _ = lapack.dpbtrs(self.columns.reshape(n * d, width).T, columns, lower=1)
-        return x.reshape(right.shape)
-
-    def blocks(self, rows: slice) -> tuple[Array, Array]:
-        L = _unfolded(self.columns[rows])
-        d = L.shape[-1]
-        return _inverse_of_lower(L[:, :d]), L[:, d:]
-
-
-class _Blocks(Factor):
-    """A few blocks at a time in numpy, each time with the next one, which takes what they leave."""
-
-    def __init__(self, columns: Array) -> None:
-        H = _unfolded(columns)
-        n, d = len(H), H.shape[-1]
-        m = -(-n // AT_A_TIME)
-        windows = _windows(H, m)
-        L = np.empty_like(windows)
-        for c in range(m):
-            try:
-                L[c] = np.linalg.cholesky(windows[c])
-            except np.linalg.LinAlgError as err:
-                raise NotPositiveError(c * AT_A_TIME * d + _first_unheld(windows[c])) from err
-            if c + 1 < m:
-                left = L[c, -d:, -d:]
-                windows[c + 1, :d, :d] = left @ left.T
-        at = [slice(i * d, (i + 1) * d) for i in range(AT_A_TIME + 1)]
-        own = np.stack([L[:, at[i], at[i]] for i in range(AT_A_TIME)], 1)
-        across = np.stack([L[:, at[i + 1], at[i]] for i in range(AT_A_TIME)], 1)
-        self._inverse = _inverse_of_lower(own.reshape(-1, d, d)[:n])
-        self._across = across.reshape(-1, d, d)[:n]
-
-    def solve(self, right: Array) -> Array:
-        y = np.empty_like(right)
-        carried: Array | float = 0.0
-        for j in range(len(y)):
-            y[j] = self._inverse[j] @ (right[j] - carried)
-            carried = self._across[j] @ y[j]
-        carried = 0.0
-        for j in reversed(range(len(y))):
-            y[j] = self._inverse[j].T @ (y[j] - carried)
-            carried = self._across[j - 1].T @ y[j]
-        return y
-
-    def blocks(self, rows: slice) -> tuple[Array, Array]:
-        return self._inverse[rows], self._across[rows]
-
-
-def _windows(H: Array, m: int) -> Array:
-    """m dense matrices of `AT_A_TIME` + 1 blocks each from those of `_unfolded`, the last of one
-    being the first of the next; what lies beyond the end is the unit matrix."""
-    n, width, d = H.shape
-    padded = np.zeros((m * AT_A_TIME + 1, width, d))
-    padded[:n], padded[n:, :d] = H, np.eye(d)
-    windows = np.zeros((m, (AT_A_TIME + 1) * d, (AT_A_TIME + 1) * d))
-    for i in range(AT_A_TIME):
-        rows, columns = slice(i * d, (i + 2) * d), slice(i * d, (i + 1) * d)
-        windows[:, rows, columns] = padded[i : m * AT_A_TIME : AT_A_TIME]
-    windows[:, -d:, -d:] = padded[AT_A_TIME::AT_A_TIME, :d]
-    return windows
-
-
-def _first_unheld(matrix: Array) -> int:
-    """The first unknown of a matrix whose leading part up to it is not positive definite."""
-    for i in range(len(matrix)):
-        try:
-            np.linalg.cholesky(matrix[: i + 1, : i + 1])
-        except np.linalg.LinAlgError:
-            return i
-    return len(matrix) - 1
+        return lapack
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _unfolded(columns: Array) -> Array:
