@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from fgloc.measurements import Array
 
-BLOCKS_AT_ONCE = 4096
-"""The inverse is taken in portions of so many blocks, which bounds the memory."""
+BLOCKS_AT_ONCE = 512
+"""The inverse is taken in portions of so many blocks, which fit the processor's cache."""
 Index = NDArray[np.int64] | slice
 
 
@@ -166,7 +166,7 @@ class Factor:
         S, C = np.zeros((runs, length, d, d)), np.zeros((runs, length, d, d))
         C[:] = np.eye(d)
         inverse = _inverse_of_lower(L[:, :d])
-        S.reshape(-1, d, d)[-m:] = inverse.swapaxes(-1, -2) @ inverse
+        S.reshape(-1, d, d)[-m:] = np.ascontiguousarray(inverse.swapaxes(-1, -2)) @ inverse
         C.reshape(-1, d, d)[-m:] = L[:, d:] @ inverse
         for k in reversed(range(length - 1)):
             S[:, k] += C[:, k].swapaxes(-1, -2) @ S[:, k + 1] @ C[:, k]
