@@ -6,6 +6,7 @@ has no height to tell gets one with a sigma that leaves the height free.
 """
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,6 +98,11 @@ class Positions:
 
     def __len__(self) -> int:
         return len(self.t_ns)
+
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
+        """The rows that a mask or an index array selects."""
+        names = type(self).__dataclass_fields__
+        return type(self)(**{name: getattr(self, name)[rows] for name in names})
 
 
 def measured_positions(
@@ -279,5 +285,4 @@ def _joined(parts: list[Positions]) -> Positions:
     columns["frame"] = np.concatenate(
         [part.frame + n for part, n in zip(parts, first, strict=False)]
     )
-    order = np.argsort(columns["t_ns"], kind="stable")
-    return Positions(**{name: column[order] for name, column in columns.items()})
+    return Positions(**columns).take(np.argsort(columns["t_ns"], kind="stable"))

@@ -8,7 +8,9 @@ from fgloc.errors import SolverError
 from fgloc.factors import noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
-from fgloc.smoother.band import Band, NotPositiveError, Vector
+from fgloc.smoother import sketch
+from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
+from fgloc.smoother.guess import misfit
 from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
 from fgloc.smoother.states import Robustness, SharedSigmas, States
@@ -24,7 +26,7 @@ from fgloc.smoother.terms import (
 )
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 1024
+BLOCKS_AT_ONCE = 512
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
@@ -32,6 +34,7 @@ class Chain(Terms):
     """The first n keyframes of a model, ready to be solved; `converged` is of the last time."""
 
     converged = True
+    _last: tuple[States, Robustness, BorderedFactor] | None = None
 
     @cached_property
     def damping(self) -> Vector:
@@ -54,10 +57,14 @@ class Chain(Terms):
     def optimum(
         self, states: States, robust: Robustness, *, rough: bool = False
     ) -> tuple[States, float, int]:
-        """The states of least cost, that cost and the iterations; `rough` stops when near.
+        """The states of least cost, that cost and the iterations; `rough` stops when near, and may
+        give the states and the cost of a sketch.
 
         Raises SolverError that names the state and its time.
         """
+        self._last = None
+        if rough and (sketched := self._sketch(states)) is not None:
+            return sketched
         solver = self.model.config.solver
         descent = Descent(self, robust, solver.max_iterations)
         try:
@@ -69,7 +76,26 @@ class Chain(Terms):
             far = np.abs(position_errors(self.model, states, self.rows)).max(-1)
             raise self._failure(int(self.key_of[np.nanargmax(far)]) * self.width)
         self.converged = descent.converged
+        if descent.factor is not None:
+            self._last = result, robust, descent.factor
         return result, cost, descent.iterations
+
+    def _sketch(self, states: States) -> tuple[States, float, int] | None:
+        """States, cost and iterations of a sketch, or None where there is none that fits."""
+        keys = sketch.few_keyframes(self.model, self.n)
+        if keys is None:
+            return None
+        model = sketch.few_model(self.model, keys)
+        few = Chain(model, self._prior, sketch.few_deltas(self.deltas, keys))
+        nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
+        try:
+            found, cost, iterations = few.optimum(states.take(keys), nothing, rough=True)
+        except SolverError:  # the whole chain may do better, or say where it fails
+            return None
+        if not cost <= misfit(few.rows):
+            return None
+        g = model.gravity_mps2
+        return sketch.all_states(found, keys, self.deltas, self.bias_of, g), cost, iterations
 
     def moved(self, states: States, back: Vector) -> States:
         """The states after a step back along a vector of their tangents; copies stay alike."""
@@ -112,8 +138,7 @@ class Chain(Terms):
         """
         cost, band = 0.0, Band(self.n, self.width, self.shared)
         for first in range(0, self.n, BLOCKS_AT_ONCE):
-            portion = band.portion(first, first + BLOCKS_AT_ONCE)
-            for term in self.at(states, robust, portion.first, portion.stop):
+            for term in self.at(states, robust, first, min(first + BLOCKS_AT_ONCE, self.n)):
                 J, e = term.jacobian, term.error
                 if term.loss != "none" and term.width < np.inf and not robust.plain:
                     value, across, along = _loss(term)
@@ -123,8 +148,9 @@ class Chain(Terms):
                     value = float((e * e).sum()) / 2
                     gradient = np.matmul(e[:, None], J)[:, 0]
                 cost += value
-                portion.add(term.blocks, term.at, J.swapaxes(-1, -2) @ J, gradient)
-            band.take(portion)
+                # As a stack of its own: numpy's product of a mere view takes several times as long.
+                back = np.ascontiguousarray(J.swapaxes(-1, -2))
+                band.add(term.blocks, term.at, back @ J, gradient)
         self._share_biases(band.gradient.blocks)
         return cost, band
 
@@ -137,11 +163,7 @@ class Chain(Terms):
 
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
-        _, band = self.linearize(states, robust, "weights")
-        try:
-            factor = band.factor()
-        except NotPositiveError as err:
-            raise self._failure(err.unknown) from err
+        factor = self._factor(states, robust)
         kinds = {s: np.flatnonzero(self.source == s) for s in np.unique(self.source).tolist()}
         terms = {s: self._positions(states, s, rows, np.inf) for s, rows in kinds.items()}
         at = np.unique(np.concatenate([POSE, *(term.at for term in terms.values())]))
@@ -164,16 +186,22 @@ class Chain(Terms):
         """Of what the drive shares and this graph estimates."""
         if not self.shared:
             return SharedSigmas()
-        _, band = self.linearize(states, robust, "weights")
-        try:
-            sigma = np.sqrt(np.diagonal(band.factor().cov_border))
-        except NotPositiveError as err:
-            raise self._failure(err.unknown) from err
+        sigma = np.sqrt(np.diagonal(self._factor(states, robust).cov_border))
         return SharedSigmas(
             float(sigma[0]) if self.late.stop else None,
             sigma[self.offset_at] if self._estimates_offset else None,
             {s: sigma[at] for s, at in self.survey_at.items()},
         )
+
+    def _factor(self, states: States, robust: Robustness) -> BorderedFactor:
+        """Of reweighted least squares at some states; of the optimum just found it is there."""
+        if self._last is not None and self._last[0] is states and self._last[1] is robust:
+            return self._last[2]
+        _, band = self.linearize(states, robust, "weights")
+        try:
+            return band.factor()
+        except NotPositiveError as err:
+            raise self._failure(err.unknown) from err
 
     def _failure(self, unknown: int) -> SolverError:
         """What to say where the normal equations cannot be solved."""

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,12 @@ class States:
 
     def first(self, n: int) -> "States":
         """Those of the first n keyframes."""
+        return self.take(slice(n))
+
+    def take(self, rows: Any) -> "States":
+        """Those of the keyframes that a slice, mask or index array selects."""
         own = ("R", "p", "v", "bias", "slow")
-        return replace(self, **{name: getattr(self, name)[:n] for name in own})
+        return replace(self, **{name: getattr(self, name)[rows] for name in own})
 
     @classmethod
     def of(cls, guess: Guess, model: Model) -> "States":

@@ -184,10 +184,9 @@ class Terms:
             (states.R[following], states.p[following], states.v[following]), states.bias[rows],
             self.model.gravity_mps2,
         )  # fmt: skip
-        J = np.concatenate([told.by_pose_i, told.by_velocity_i, told.by_bias, told.by_pose_j,
-                            told.by_velocity_j], -1)  # fmt: skip
         at = np.concatenate([STATE, BIAS, self.width + STATE])
-        return Term(np.arange(rows.start, rows.stop), at, _whitened(W, told.error), W @ J)
+        keys = np.arange(rows.start, rows.stop)
+        return Term(keys, at, _whitened(W, told.error), W @ told.jacobian)
 
     def _bias_steps(self, states: States, rows: slice) -> Iterator[Term]:
         """The walk of the IMU's bias from keyframe to keyframe, and the sources' slow errors."""

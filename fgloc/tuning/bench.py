@@ -177,7 +177,7 @@ def _newton(
     """States after some steps, and the factor of the last one; NotPositiveError as it comes."""
     while True:
         _, band = chain.linearize(states, robust, "weights")
-        factor, most = band.factor(often=True), most - 1
+        factor, most = band.factor(), most - 1
         step = factor.solve(band.gradient)
         states = chain.moved(states, step)
         if most == 0 or step.dot(band.gradient) / 2 <= ENOUGH:
