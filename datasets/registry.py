@@ -39,6 +39,10 @@ _INFOS = (
         "plain simulated drive: GNSS 10 Hz, IMU 100 Hz, wheel speed 50 Hz; option duration_s",
     ),
     DatasetInfo(
+        "lee2021/mcity", "scenario", 300.0, ("gnss", "imu", "velocity", "detections"), "MIT",
+        "three passes by a roadside node (Lee et al. 2021); options errors, latency_s",
+    ),
+    DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
     ),
@@ -87,7 +91,7 @@ _IMPORTERS = {
 }
 """Module and function of each format."""
 
-_SCENARIOS = {"city": "city.make_city"}
+_SCENARIOS = {"city": "city.make_city", "lee2021/mcity": "lee2021.make_lee2021_mcity"}
 """Module and function of each scenario."""
 
 _WITHOUT_FOLDER = {"kitti"}
