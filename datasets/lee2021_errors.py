@@ -88,17 +88,17 @@ def gps_slow_m(
     seed: int,
     paper: PaperErrors = PAPER,
 ) -> Array:
-    """(N, 3) all errors of the fixes but the white noise, ENU m, at even times (N,).
+    """(N, 3) all errors of the fixes but the white noise, ENU m, at times (N,) in s.
 
     p_from_node_m  (N, 2) where the car is then, East and North of the node
     """
-    rng, dt_s = stream(seed, "gnss/slow"), float(t_s[1] - t_s[0])
+    rng = stream(seed, "gnss/slow")
     if kind == "model":
-        return GNSS_BIAS.sigma_m * gauss_markov(GNSS_BIAS.tau_s, dt_s, (len(t_s), 3), rng)
+        return GNSS_BIAS.sigma_m * gauss_markov(GNSS_BIAS.tau_s, t_s, 3, rng)
     n = len(t_s)
     between_m = np.full((n, 1), paper.gps_slow_between_m)
     sigma_m = _over_time(t_s, cases, between_m, np.reshape(paper.gps_slow_passing_m, (3, 1)))
-    slow_m = sigma_m * gauss_markov(paper.gps_tau_s, dt_s, (n, 3), rng)
+    slow_m = sigma_m * gauss_markov(paper.gps_tau_s, t_s, 3, rng)
     bias_m = _bias_between(p_from_node_m[:, 0], paper)
     slow_m[:, :2] += _over_time(t_s, cases, bias_m, np.array(paper.gps_passing_m))
     for case, height_m in zip(cases, paper.gps_tunnel_m, strict=True):
@@ -109,13 +109,13 @@ def gps_slow_m(
 def node_slow_m(
     t_s: Array, cases: Sequence[Case], kind: str, seed: int, paper: PaperErrors = PAPER
 ) -> Array:
-    """(N, 2) all errors of the node but the white noise, East and North m, at even times (N,)."""
-    rng, dt_s = stream(seed, "node/slow"), float(t_s[1] - t_s[0])
+    """(N, 2) all errors of the node but the white noise, East and North m, at times (N,) in s."""
+    rng = stream(seed, "node/slow")
     if kind == "model":
-        return NODE_BIAS_SIGMA_M * gauss_markov(NODE_BIAS_TAU_S, dt_s, (len(t_s), 2), rng)
+        return NODE_BIAS_SIGMA_M * gauss_markov(NODE_BIAS_TAU_S, t_s, 2, rng)
     n = len(t_s)
     sigma_m = _over_time(t_s, cases, np.zeros((n, 1)), np.reshape(paper.node_slow_m, (3, 1)))
-    slow_m = sigma_m * gauss_markov(paper.node_tau_s, dt_s, (n, 2), rng)
+    slow_m = sigma_m * gauss_markov(paper.node_tau_s, t_s, 2, rng)
     return slow_m + _over_time(t_s, cases, np.zeros((n, 2)), np.array(paper.node_m))
 
 

@@ -47,6 +47,10 @@ _INFOS = (
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
     ),
     DatasetInfo(
+        "mcity-13", "real", 60.0, ("gnss", "odometry", "velocity", "detections"), "MIT",
+        "real roadside detections of two cars, RTK 50 Hz; GPS and odometry simulated from the RTK",
+    ),
+    DatasetInfo(
         "kitti", "real", 469.6, ("gnss", "imu"), "CC-BY-NC-SA-3.0",
         "KITTI drive 0027 in a town, from the gtsam wheel: IMU 100 Hz, fixes 1 Hz, no truth",
     ),
@@ -78,6 +82,10 @@ _INFOS = (
         "nmea", "importer", None, ("gnss",), "the source's",
         "NMEA-0183 log with GGA, RMC, GST; IMU from a CSV of ours (--imu, --imu-noise)",
     ),
+    DatasetInfo(
+        "mcity-roadside", "importer", None, ("gnss", "odometry", "velocity", "detections"),
+        "the source's", "roadside node at Mcity (--trial); GPS and odometry simulated from the RTK",
+    ),
 )  # fmt: skip
 
 _IMPORTERS = {
@@ -88,6 +96,7 @@ _IMPORTERS = {
     "euroc": "euroc.import_euroc",
     "rtklib-pos": "rtklib_pos.import_rtklib_pos",
     "nmea": "nmea.import_nmea",
+    "mcity-roadside": "mcity_roadside.import_mcity_roadside",
 }
 """Module and function of each format."""
 

@@ -99,18 +99,16 @@ def simulate_velocity(motion: Motion, sigma_mps: float, rng: np.random.Generator
     )
 
 
-def gauss_markov(
-    tau_s: float, dt_s: float, shape: tuple[int, int], rng: np.random.Generator
-) -> Array:
-    """Stationary first-order Gauss-Markov noise (N, K) of unit sigma, sampled every `dt_s`.
+def gauss_markov(tau_s: float, t_s: Array, columns: int, rng: np.random.Generator) -> Array:
+    """Stationary first-order Gauss-Markov noise (N, columns) of unit sigma at times (N,) in s.
 
-    The K columns are independent; each forgets itself over `tau_s`.
+    The columns are independent; each forgets itself over `tau_s`.
     """
-    keep = np.exp(-dt_s / tau_s)
-    noise = rng.standard_normal(shape)
-    noise[1:] *= np.sqrt(1 - keep**2)
+    keep = np.exp(-np.diff(t_s) / tau_s)
+    noise = rng.standard_normal((len(t_s), columns))
+    noise[1:] *= np.sqrt(1 - keep**2)[:, None]
     for k in range(1, len(noise)):
-        noise[k] += keep * noise[k - 1]
+        noise[k] += keep[k - 1] * noise[k - 1]
     return noise
 
 
