@@ -23,7 +23,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgloc import frames
 from fgloc.datasets import lee2021_road as road
@@ -32,12 +31,15 @@ from fgloc.datasets.lee2021_errors import (
     GPS_WHITE_ENU_M,
     NODE_BIAS_SIGMA_M,
     NODE_BIAS_TAU_S,
+    PAPER,
+    PaperErrors,
     check_errors,
     gps_slow_m,
     node_slow_m,
     node_white_m,
 )
-from fgloc.datasets.node_simulator import Track, numbers, simulate_node
+from fgloc.datasets.lee2021_traffic import tracks
+from fgloc.datasets.node_simulator import simulate_node
 from fgloc.datasets.simulator import (
     Motion,
     simulate_gnss,
@@ -49,8 +51,8 @@ from fgloc.datasets.simulator import (
 from fgloc.drive import About, Drive, ImuNoise, Rig
 from fgloc.errors import InputError
 from fgloc.infrastructure import Infrastructure, Node
-from fgloc.measurements import Array, GnssFixes, NodeDetections
-from fgloc.timing import NS_PER_S, elapsed_s
+from fgloc.measurements import Array
+from fgloc.timing import NS_PER_S, Instants, elapsed_s
 
 NAME = "lee2021/mcity"
 TRUTH_HZ, FUSION_HZ = 50, 10
@@ -77,15 +79,6 @@ LATENCY_SPREAD = 0.3
 """The delay of a frame is uniform within this share of the mean either way."""
 LONGEST_LATENCY_S = 10.0
 
-CAR_ID, FOLLOWER_ID, GHOST_ID = 100, 500, 900
-"""Numbers that objects begin with; those of a pass are 20 above those of the pass before."""
-IDS_PER_PASS = 20
-CHANGE_CHANCE = 0.01
-FOLLOWING_S = 2.0
-"""How long after the car the second car is at the same place."""
-GHOSTS_PER_PASS, GHOST_S = 3, (0.3, 1.0)
-GHOST_AWAY_M = (2.0, 6.0)
-
 
 def make_lee2021_mcity(seed: int = 0, errors: str = "paper", latency_s: float = LATENCY_S) -> Drive:
     """The drive of a seed.
@@ -99,13 +92,27 @@ def make_lee2021_mcity(seed: int = 0, errors: str = "paper", latency_s: float = 
     check_errors(errors)
     if not (math.isfinite(latency_s) and 0 <= latency_s <= LONGEST_LATENCY_S):
         raise InputError(f"latency_s = {latency_s}: expected 0 to {LONGEST_LATENCY_S:g} seconds")
+    return simulate(seed, errors, latency_s)
+
+
+def simulate(
+    seed: int, errors: str = "paper", latency_s: float = LATENCY_S, paper: PaperErrors = PAPER
+) -> Drive:
+    """As `make_lee2021_mcity`, with other magnitudes and directions of the errors 'paper'."""
     rig, node, motion = mcity_rig(), mcity_node(), road.motion()
     epochs = motion.every(road.RATE_HZ // FUSION_HZ)
+    t_s = elapsed_s(epochs.t_ns, road.START_NS)
+    from_node_m = (epochs.p_world_m - node.p_world_m)[:, :2]
+    gps_m = gps_slow_m(t_s, from_node_m, cases(), errors, seed, paper)
+    node_m = node_slow_m(t_s, cases(), errors, seed, paper)
+    white = simulate_gnss(epochs, rig, GPS_WHITE_ENU_M, stream(seed, "gnss"))
+    followed = tracks(_box_m(epochs, rig), node_m, t_s, node, cases(), errors == "paper", seed)
+    frames_ns = epochs.t_ns, _received_ns(epochs.t_ns, latency_s, seed)
     tables = {
-        "gnss": _fixes(epochs, rig, node, errors, seed),
+        "gnss": replace(white, p_world_ant_m=white.p_world_ant_m + gps_m),
         "imu": simulate_imu(motion, rig, road.origin().gravity_mps2(), stream(seed, "imu")),
         "velocity": simulate_velocity(epochs, VELOCITY_SIGMA_MPS, stream(seed, "velocity")),
-        "detections": _detections(epochs, rig, node, errors, latency_s, seed),
+        "detections": simulate_node(frames_ns, node, followed, node_white_m, stream(seed, "node")),
     }
     truth = truth_of(motion.every(road.RATE_HZ // TRUTH_HZ))
     about = _about(seed, errors, latency_s)
@@ -133,84 +140,14 @@ def cases() -> tuple[road.Case, ...]:
     return road.cases(np.array(P_VEH_BOX_M), mcity_node())
 
 
-def _fixes(epochs: Motion, rig: Rig, node: Node, errors: str, seed: int) -> GnssFixes:
-    white = simulate_gnss(epochs, rig, GPS_WHITE_ENU_M, stream(seed, "gnss"))
-    t_s = elapsed_s(epochs.t_ns, road.START_NS)
-    p_from_node_m = (epochs.p_world_m - node.p_world_m)[:, :2]
-    slow_m = gps_slow_m(t_s, p_from_node_m, cases(), errors, seed)
-    return replace(white, p_world_ant_m=white.p_world_ant_m + slow_m)
+def _box_m(epochs: Motion, rig: Rig) -> Array:
+    """(N, 2) centre of the car's box, East and North."""
+    return (epochs.p_world_m + epochs.R_world_veh @ rig.p_veh_box_m)[:, :2]
 
 
-def _detections(
-    epochs: Motion, rig: Rig, node: Node, errors: str, latency_s: float, seed: int
-) -> NodeDetections:
-    rng = stream(seed, "node/tracks")
-    t_s = elapsed_s(epochs.t_ns, road.START_NS)
-    p_box_m = (epochs.p_world_m + epochs.R_world_veh @ rig.p_veh_box_m)[:, :2]
-    p_seen_m = p_box_m + node_slow_m(t_s, cases(), errors, seed)
-    tracks = _car(t_s, p_box_m, p_seen_m, node, rng)
-    if errors == "paper":
-        tracks += _follower(t_s, p_box_m, p_seen_m, node, rng)
-        tracks += _ghosts(p_box_m, p_seen_m, node, rng)
-    arrival = stream(seed, "node/latency").uniform(1 - LATENCY_SPREAD, 1 + LATENCY_SPREAD, len(t_s))
-    received_ns = epochs.t_ns + np.rint(latency_s * arrival * NS_PER_S).astype(np.int64)
-    return simulate_node(
-        (epochs.t_ns, received_ns), node, tracks, node_white_m, stream(seed, "node")
-    )
-
-
-def _car(
-    t_s: Array, p_box_m: Array, p_seen_m: Array, node: Node, rng: np.random.Generator
-) -> list[Track]:
-    """A track of each stretch in which nothing hides the car."""
-    seen = road.in_range(node, p_box_m)
-    for case in cases():
-        if case.occluded_s is not None:
-            seen &= (t_s < case.occluded_s[0]) | (t_s > case.occluded_s[1])
-    return _tracks(seen, p_seen_m, CAR_ID, rng)
-
-
-def _follower(
-    t_s: Array, p_box_m: Array, p_seen_m: Array, node: Node, rng: np.random.Generator
-) -> list[Track]:
-    """The second car: where the first was, with the same error of the node."""
-    earlier_s = t_s - FOLLOWING_S
-    p_other_m = np.stack([np.interp(earlier_s, t_s, axis) for axis in p_box_m.T], -1)
-    seen = road.in_range(node, p_other_m)
-    return _tracks(seen, p_other_m + (p_seen_m - p_box_m), FOLLOWER_ID, rng)
-
-
-def _tracks(
-    seen: NDArray[np.bool_], p_seen_m: Array, first_id: int, rng: np.random.Generator
-) -> list[Track]:
-    """A track of each unbroken run of frames that show an object."""
-    return [
-        Track(
-            run, p_seen_m[run], numbers(len(run), first_id + IDS_PER_PASS * k, CHANGE_CHANCE, rng)
-        )
-        for k, run in enumerate(_runs(seen))
-    ]
-
-
-def _runs(seen: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
-    """The frames that show an object, as unbroken runs."""
-    frame = np.flatnonzero(seen)
-    return np.split(frame, np.flatnonzero(np.diff(frame) > 1) + 1)
-
-
-def _ghosts(p_box_m: Array, p_seen_m: Array, node: Node, rng: np.random.Generator) -> list[Track]:
-    """Short-lived echoes beside the car, that move with it."""
-    tracks: list[Track] = []
-    for run in _runs(road.in_range(node, p_box_m)):
-        for _ in range(GHOSTS_PER_PASS):
-            length = round(rng.uniform(*GHOST_S) * FUSION_HZ)
-            first = int(rng.integers(len(run) - length))
-            shown = run[first : first + length]
-            away_m, way_rad = rng.uniform(*GHOST_AWAY_M), rng.uniform(-np.pi, np.pi)
-            aside_m = away_m * np.array([np.cos(way_rad), np.sin(way_rad)])
-            ids = np.full(length, GHOST_ID + len(tracks))
-            tracks.append(Track(shown, p_seen_m[shown] + aside_m, ids))
-    return tracks
+def _received_ns(t_ns: Instants, latency_s: float, seed: int) -> Instants:
+    share = stream(seed, "node/latency").uniform(1 - LATENCY_SPREAD, 1 + LATENCY_SPREAD, len(t_ns))
+    return t_ns + np.rint(latency_s * share * NS_PER_S).astype(np.int64)
 
 
 def _about(seed: int, errors: str, latency_s: float) -> About:

@@ -13,7 +13,8 @@ import argparse
 import numpy as np
 
 from fgloc.datasets import make
-from fgloc.datasets.lee2021 import CAR_ID, FOLLOWER_ID, NAME, cases
+from fgloc.datasets.lee2021 import NAME, cases
+from fgloc.datasets.lee2021_traffic import CAR_ID, FOLLOWER_ID
 from fgloc.drive import Drive
 from fgloc.measurements import Array, NodeDetections
 from fgloc.timing import elapsed_s
