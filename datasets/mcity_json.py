@@ -22,6 +22,7 @@ from fgloc.timing import Instants
 
 _KINDS = {"2": VEHICLE, "10": PEDESTRIAN}
 _CUT = "-cut"
+_MOST_DIGITS = 18  # as many fit into an int64
 _LONGEST_S = 1e10  # later than the year 2200 a stamp is not in seconds
 
 
@@ -43,13 +44,16 @@ class Sightings:
     turned: int
 
 
-def read_sightings(path: Path) -> Sightings:
-    """All objects of a file; DriveError that names the file, frame, object and field at fault."""
+def read_sightings(path: Path, *, whole_ids: bool = False) -> Sightings:
+    """All objects of a file, whose ids must be whole numbers where this is asked for.
+
+    Raises DriveError that names the file, frame, object and field at fault.
+    """
     stamps_s, rows = [], []
     for at, (where, entry) in enumerate(_entries(str(path), "frame", _read(path))):
         stamps_s.append(_stamp(where, entry))
         objects = _entries(where, "object", _field(where, entry, "objs"))
-        rows += [(at, *_object(there, one)) for there, one in objects]
+        rows += [(at, *_object(there, one, whole_ids)) for there, one in objects]
     if not rows:
         raise DriveError(f"{path}: no frame holds an object; is it the right file?")
     frames_ns = np.rint(np.array(stamps_s) * 1e9).astype(np.int64)
@@ -96,7 +100,7 @@ def _stamp(where: str, frame: dict[str, Any]) -> float:
     return stamp_s
 
 
-def _object(where: str, entry: dict[str, Any]) -> tuple[float, float, str, int]:
+def _object(where: str, entry: dict[str, Any], whole_ids: bool) -> tuple[float, float, str, int]:
     lat_deg, lon_deg = (
         number(where, name, str(_field(where, entry, name))) for name in ("lat", "lon")
     )
@@ -104,5 +108,10 @@ def _object(where: str, entry: dict[str, Any]) -> tuple[float, float, str, int]:
         check_geodetic(lat_deg, lon_deg, 0.0)
     except InputError as err:
         raise DriveError(f"{where}: {err}") from err
+    object_id = str(_field(where, entry, "id"))
+    if whole_ids and not (object_id.isdecimal() and len(object_id) <= _MOST_DIGITS):
+        raise DriveError(
+            f"{where}: id = {object_id!r} is not a whole number of {_MOST_DIGITS} digits or fewer"
+        )
     kind = _KINDS.get(str(_field(where, entry, "classType")), UNKNOWN)
-    return lat_deg, lon_deg, str(_field(where, entry, "id")), kind
+    return lat_deg, lon_deg, object_id, kind

@@ -64,7 +64,7 @@ RTK_HZ = 50.0
 FASTEST_MPS = 40.0
 """A longer step between rows of the RTK is no motion of a car."""
 
-_FEWEST, _MOST_DIGITS = 3, 18
+_FEWEST = 3
 
 
 def import_mcity_roadside(
@@ -86,7 +86,7 @@ def import_mcity_roadside(
     """
     bias = _checked_bias(gps_rate_hz, gps_sigma_m, gps_bias_sigma_m, gps_bias_tau_s)
     detections_path, rtk_path = _paths(Path(source), trial)
-    rtk, seen = read_sightings(rtk_path), read_sightings(detections_path)
+    rtk, seen = read_sightings(rtk_path), read_sightings(detections_path, whole_ids=True)
     car = _car(rtk_path, rtk, vehicle)
     at_fix = every(car.t_ns, gps_rate_hz)
     tables: dict[str, Table] = {"gnss": simulated_gps(car, at_fix, gps_sigma_m, bias, seed)}
@@ -187,7 +187,7 @@ def _detections(path: Path, seen: Sightings, car: Ride) -> tuple[NodeDetections,
     inside = (t_ns >= car.t_ns[0]) & (t_ns <= car.t_ns[-1])
     if not inside.any():
         raise DriveError(f"{path}: no frame falls into the time of the RTK; are both of one trial?")
-    object_id = np.array([_number(path, one) for one in seen.object_id[inside]], np.int64)
+    object_id = seen.object_id[inside].astype(np.int64)
     p_node_m = mcity_node().from_world(_to_plane(seen.place_deg[inside])[:, :2])
     n = len(p_node_m)
     cov_m2 = np.tile(NODE_WHITE_M**2 * np.eye(2), (n, 1, 1))
@@ -196,12 +196,6 @@ def _detections(path: Path, seen: Sightings, car: Ride) -> tuple[NodeDetections,
         p_node_m, cov_m2,
     )  # fmt: skip
     return table, int((~inside).sum())
-
-
-def _number(path: Path, object_id: str) -> int:
-    if not (object_id.isdecimal() and len(object_id) <= _MOST_DIGITS):
-        raise DriveError(f"{path}: id = {object_id!r} is not a whole number of 18 digits or fewer")
-    return int(object_id)
 
 
 def _leaps(car: Ride) -> int:

@@ -17,7 +17,6 @@ import numpy as np
 from lee2021_tables import TABLE_III_M, by_case
 
 from fgloc.baselines import lee2021_ekf
-from fgloc.baselines.lee2021_filter import LEE2021
 from fgloc.datasets.lee2021 import simulate
 from fgloc.datasets.lee2021_errors import PAPER, PaperErrors, Passes
 from fgloc.drive import Drive
@@ -42,7 +41,7 @@ def main() -> None:
             paper = turned(gps_deg, node_deg)
             drives = [simulate(seed, paper=paper) for seed in seeds]
             what = f"GPS turned by {gps_deg:g}, node by {node_deg:g} deg"
-            show(what, ekf_cases_m(drives, LEE2021.process_sigma_m))
+            show(what, ekf_cases_m(drives, lee2021_ekf.LEE2021.process_sigma_m))
 
 
 def show(what: str, mean_m: Array) -> None:
@@ -53,7 +52,7 @@ def show(what: str, mean_m: Array) -> None:
 
 def ekf_cases_m(drives: list[Drive], process_sigma_m: float) -> Array:
     """(3,) mean error of the filter in each case, mean over the drives."""
-    parameters = replace(LEE2021, process_sigma_m=process_sigma_m)
+    parameters = replace(lee2021_ekf.LEE2021, process_sigma_m=process_sigma_m)
     return np.mean([case_means_m(drive, parameters) for drive in drives], axis=0)
 
 
