@@ -29,7 +29,7 @@ TABLE_III_M = {
 
 
 def main() -> None:
-    """Print both tables, and the slow errors on an axis beside what the drive states of them."""
+    """Print both tables and the largest error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
     drives = [make(NAME, seed) for seed in range(parser.parse_args().seeds)]
