@@ -79,10 +79,9 @@ class Plan:
     events: tuple[Event, ...]
 
 
-def plan(drive: Drive, config: SmoothConfig, also_ns: Instants | None = None) -> Plan:
+def plan(drive: Drive, config: SmoothConfig) -> Plan:
     """Epochs from the first usable fix to the last IMU sample.
 
-    Instants `also_ns` within that time become keyframes as well.
     Raises DriveError where there are no fixes, no IMU, or the two do not overlap in time.
     """
     verdicts = {
@@ -98,8 +97,6 @@ def plan(drive: Drive, config: SmoothConfig, also_ns: Instants | None = None) ->
     keyframes = _merged(positions.t_ns, gaps.ravel(), [first, last])
     wheel_rows = chosen_wheel_rows(drive, keyframes, config.vehicle, verdicts)
     keyframes = _merged(keyframes, _times(drive, wheel_rows))
-    if also_ns is not None:
-        keyframes = _merged(keyframes, also_ns[(also_ns >= first) & (also_ns <= last)])
     keyframes = _fill(keyframes, _keyframe_interval_s(config))
     t_ns = _fill(keyframes, config.output_interval_s)
     in_gap = np.zeros(len(t_ns), bool)

@@ -13,16 +13,16 @@ from dataclasses import replace
 import numpy as np
 
 from fgloc.baselines.eskf_motion import Inertial
-from fgloc.baselines.eskf_readings import Detections, Fixes, Reading, Taken, fix_readings
+from fgloc.baselines.eskf_readings import Reading, Readings, Taken
 from fgloc.baselines.eskf_start import start_inertial, start_planar, window
 from fgloc.baselines.eskf_state import Slow, State
-from fgloc.baselines.eskf_timeline import Timeline, moves_by, timeline
+from fgloc.baselines.eskf_timeline import Timeline, timeline
 from fgloc.baselines.planar import summarize
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
 from fgloc.errors import SolverError
 from fgloc.frames import pose_cov_to_world
-from fgloc.measurements import NodeDetections
+from fgloc.positions import PositionSource, position_sources
 from fgloc.result import Event, Result
 from fgloc.timing import seconds_to_ns
 from fgloc.trajectory import Trajectory
@@ -38,12 +38,17 @@ def run(drive: Drive) -> Result:
     Each state is as it was when it was the newest. Raises DriveError where the drive lacks fixes
     or anything that tells how the vehicle moves, SolverError where no course ever shows.
     """
-    config, slow = SmoothConfig(), Slow.of(drive)
+    config = SmoothConfig()
+    sources = position_sources(drive, config)
+    slow = Slow.of(sources)
     line = timeline(drive, config, slow)
-    filtering = Eskf(drive, line, config, slow)
-    filtering.run()
+    filtering = Eskf(line, sources, slow)
+    try:
+        filtering.run()
+    except SolverError as err:
+        raise SolverError(f"drive {drive.name!r}: {err}") from err
     trajectory = filtering.trajectory()
-    more = {"moves_by": moves_by(line.motion), "start_s": filtering.waited_s}
+    more = {"moves_by": filtering.moves_by, "start_s": filtering.waited_s}
     summary = summarize(drive, "eskf", "filter", trajectory, line.verdicts, more)
     events = sorted([*line.events, *filtering.events], key=lambda event: event.t_ns)
     return Result(trajectory, line.verdicts, summary, "eskf", causal=True, events=tuple(events))
@@ -52,23 +57,26 @@ def run(drive: Drive) -> Result:
 class Eskf:
     """One pass over the epochs of a drive."""
 
-    def __init__(self, drive: Drive, line: Timeline, config: SmoothConfig, slow: Slow) -> None:
-        self._drive, self._line, self._slow = drive, line, slow
-        p_veh_m = line.motion.p_veh_m
-        self._sources: dict[str, Fixes | Detections] = {
-            "gnss": Fixes(drive, p_veh_m, config.gnss, line.verdicts["gnss"])
-        }
-        readings = fix_readings(drive.gnss, line.fix_rows)
-        if isinstance(drive.tables.get("detections"), NodeDetections):
-            seen = Detections(drive, p_veh_m, line.verdicts["detections"])
-            readings += seen.readings(int(line.t_ns[0]), int(line.t_ns[-1]))
-            self._sources["detections"] = seen
-        self._arriving = self._by_arrival(readings)
+    def __init__(self, line: Timeline, sources: tuple[PositionSource, ...], slow: Slow) -> None:
+        self._line, self._slow = line, slow
+        self._p_veh_ant_m = sources[0].p_veh_m
+        self._readings = Readings(line.positions, sources, slow, line.motion.p_veh_m, line.verdicts)
+        self._arriving = self._by_arrival(self._readings.all())
         self._states: dict[int, State] = {}
         self._taken: defaultdict[int, list[Taken]] = defaultdict(list)  # what was believed where
         self._written: list[State] = []
         self._start = -1
-        self.events: list[Event] = []
+
+    @property
+    def events(self) -> list[Event]:
+        """The start, and gates that opened."""
+        text = "a course is known: the estimate starts here; before, nothing is estimated"
+        return [Event(int(self._line.t_ns[self._start]), "aligned", text), *self._readings.events]
+
+    @property
+    def moves_by(self) -> str:
+        """The table that carries the state from epoch to epoch."""
+        return "imu" if isinstance(self._line.motion, Inertial) else "velocity"
 
     @property
     def waited_s(self) -> float:
@@ -81,7 +89,7 @@ class Eskf:
         for k in range(len(self._line.t_ns)):
             arrived = self._arriving[k]
             if not self._written:
-                found = [int(r.rows[0]) for _, r in arrived if r.source == "gnss"]
+                found = [int(r.rows[0]) for _, r in arrived if self._readings.is_fix(r)]
                 fixes += found
                 self._refuse(arrived, Verdict.UNUSED, "before a course was known to start with")
                 self._try_to_start(k, sorted(fixes) if found else [])
@@ -91,12 +99,9 @@ class Eskf:
             self._written.append(self._states[k])
         if not self._written:
             raise SolverError(
-                f"drive {self._drive.name!r}: eskf starts where the fixes show a course, and they "
-                "never did; a vehicle that stands cannot be told which way it points"
+                "eskf starts where the fixes show a course, and they never did; a vehicle that "
+                "stands cannot be told which way it points"
             )
-        fixes_source = self._sources["gnss"]
-        assert isinstance(fixes_source, Fixes)
-        self.events += fixes_source.events
 
     def trajectory(self) -> Trajectory:
         """What was written, of the vehicle's origin."""
@@ -113,15 +118,13 @@ class Eskf:
         """For each epoch what arrives there, with the epoch at which it was true."""
         t_ns = self._line.t_ns
         out: list[list[tuple[int, Reading]]] = [[] for _ in range(len(t_ns))]
-        for one in sorted(readings, key=lambda r: r.t_ns):
+        for one in readings:
             true = int(np.searchsorted(t_ns, one.t_ns))
             at = max(true, int(np.searchsorted(t_ns, one.received_ns)))
             if at < len(t_ns):
                 out[at].append((true, one))
             else:
-                self._line.verdicts[one.source].set(
-                    one.rows, Verdict.LATE, "received after the end of the drive"
-                )
+                self._readings.set(one, Verdict.LATE, "received after the end of the drive")
         return out
 
     def _take_in(self, k: int, arrived: list[tuple[int, Reading]]) -> None:
@@ -146,17 +149,16 @@ class Eskf:
         """The state at an epoch from the one before, with all that was believed there already."""
         state = self._line.motion.step(i, self._states[i - 1])
         for taken in self._taken[i]:
-            error, H = self._sources[taken.source].observe(state, taken.row)
+            error, H = self._readings.observe(state, taken.row)
             state = state.corrected(error, H, taken.noise)
         return state
 
     def _judged(self, i: int, state: State, one: Reading) -> State:
-        source = self._sources[one.source]
-        state, taken = source.judge(state, one)
+        state, taken = self._readings.judge(state, one)
         if taken is None:
             return state
         self._taken[i].append(taken)
-        error, H = source.observe(state, taken.row)
+        error, H = self._readings.observe(state, taken.row)
         return state.corrected(error, H, taken.noise)
 
     def _forget(self, oldest: int) -> None:
@@ -166,7 +168,7 @@ class Eskf:
 
     def _refuse(self, readings: list[tuple[int, Reading]], verdict: Verdict, reason: str) -> None:
         for _, one in readings:
-            self._line.verdicts[one.source].set(one.rows, verdict, reason)
+            self._readings.set(one, verdict, reason)
 
     def _try_to_start(self, k: int, rows: list[int]) -> None:
         """Start at the newest fix, if there is a course by now, and move on to epoch k."""
@@ -178,26 +180,22 @@ class Eskf:
             state = self._line.motion.step(i, state)
         self._start, self._states[k] = k, state
         self._written.append(state)
-        self._line.verdicts["gnss"].set(used, Verdict.USED, "the filter started from it")
-        self.events.append(Event(
-            int(self._line.t_ns[k]), "aligned",
-            "a course is known: position, speed and attitude start here; nothing is estimated "
-            "before",
-        ))  # fmt: skip
+        for row in used:
+            self._line.verdicts["gnss"].set(
+                self._line.positions.row[row], Verdict.USED, "the filter started from it"
+            )
 
     def _started(self, rows: list[int]) -> tuple[int, State, list[int]] | None:
-        """Epoch and state that the newest fixes give, and their rows."""
-        motion, gnss = self._line.motion, self._drive.gnss
-        lever_m = self._drive.rig.p_veh_ant_m - motion.p_veh_m
-        at = int(np.searchsorted(self._line.t_ns, gnss.t_ns[rows[-1]]))
+        """Epoch and state that the newest fixes give, and their rows among the positions."""
+        motion, p = self._line.motion, self._line.positions
+        lever_m = self._p_veh_ant_m - motion.p_veh_m
+        at = int(np.searchsorted(self._line.t_ns, p.t_ns[rows[-1]]))
         if isinstance(motion, Inertial):
-            fixes = window(gnss, self._line.t_ns, rows)
+            fixes = window(p, self._line.t_ns, rows)
             if fixes is None:
                 return None
             state = start_inertial(motion, fixes, lever_m, self._slow)
             return at, state, rows[-len(fixes.t_s) :]
-        row = rows[-1]
-        begun = start_planar(
-            motion, at, gnss.p_world_ant_m[row], gnss.cov_world_m2[row], lever_m, self._slow
-        )
-        return None if begun is None else (at, begun, [row])
+        z, cov = p.z_world_m[rows[-1]], p.cov_world_m2[rows[-1]]
+        begun = start_planar(motion, at, z, cov, lever_m, self._slow)
+        return None if begun is None else (at, begun, rows[-1:])

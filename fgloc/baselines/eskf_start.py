@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.baselines.eskf_motion import LEVEL_RAD, Inertial, Planar
-from fgloc.baselines.eskf_state import BIAS, CORE, GNSS, POSITION, ROTATION, VELOCITY, Slow, State
+from fgloc.baselines.eskf_state import BIAS, CORE, POSITION, ROTATION, VELOCITY, Slow, State
 from fgloc.frames import yaw_matrix
-from fgloc.measurements import Array, GnssFixes
+from fgloc.measurements import Array
+from fgloc.positions import Positions
 from fgloc.timing import Instants, elapsed_s, seconds_to_ns
 
 SIGMAS, DISTANCE_M, SPAN_S = 8.0, 2.0, 20.0
@@ -39,18 +40,19 @@ class Fixes(NamedTuple):
     sigma_m: Array
 
 
-def window(gnss: GnssFixes, t_ns: Instants, rows: Sequence[int]) -> Fixes | None:
+def window(positions: Positions, t_ns: Instants, rows: Sequence[int]) -> Fixes | None:
     """The last of some rows, as few as show a course; None where they show none yet."""
-    late = gnss.t_ns[rows] >= gnss.t_ns[rows[-1]] - seconds_to_ns(SPAN_S)
+    own_ns = positions.t_ns[rows]
+    late = own_ns >= own_ns[-1] - seconds_to_ns(SPAN_S)
     chosen = np.asarray(rows)[late]
-    z, cov = gnss.p_world_ant_m[chosen], gnss.cov_world_m2[chosen]
+    z, cov = positions.z_world_m[chosen], positions.cov_world_m2[chosen]
     sigma = np.sqrt(cov[:, :2, :2].trace(axis1=1, axis2=2) / 2)
     far = np.linalg.norm(z[:, :2] - z[-1, :2], axis=1)
     enough = np.flatnonzero(far > np.maximum(DISTANCE_M, SIGMAS * np.hypot(sigma, sigma[-1])))
     if not len(enough) or len(chosen) - enough[-1] < LEAST_FIXES:
         return None
     chosen, z, sigma = (part[enough[-1] :] for part in (chosen, z, sigma))
-    at_ns = gnss.t_ns[chosen]
+    at_ns = positions.t_ns[chosen]
     return Fixes(np.searchsorted(t_ns, at_ns), elapsed_s(at_ns, int(at_ns[0])), z, sigma)
 
 
@@ -84,11 +86,12 @@ def with_slow(R: Array, p: Array, v: Array, cov: Array, slow: Slow) -> State:
     full = np.zeros((CORE + m, CORE + m))
     full[:CORE, :CORE] = cov
     full[CORE:, CORE:] = np.diag(slow.sigma**2)
-    variance = np.diag(slow.sigma[:GNSS] ** 2)
-    fix_error = slice(CORE, CORE + GNSS)
-    full[POSITION, POSITION] += R.T @ variance @ R
-    full[POSITION, fix_error] = -R.T @ variance
-    full[fix_error, POSITION] = -variance @ R
+    n = slow.of_fixes
+    variance = np.diag(slow.sigma[:n] ** 2)
+    if n:
+        full[POSITION, POSITION] += R.T @ variance @ R
+        full[POSITION, CORE : CORE + n] = -R.T @ variance
+        full[CORE : CORE + n, POSITION] = -variance @ R
     return State(R, p, v, np.zeros(6), np.zeros(m), full)
 
 

@@ -2,24 +2,29 @@
 
     R, p, v   attitude, position in m and velocity in m/s of a point of the vehicle, in the world
     bias      of the accelerometer in m/s^2 and of the gyro in rad/s
-    slow      slowly varying errors: of the fixes, and of each node's survey and positions
+    slow      slowly varying errors of the sources, see `Slow`
 
 Errors are (rotation, position) in the vehicle frame, as in the graph's tangent, then velocity and
 slow errors in their own axes: truth = R Exp(e_rotation), p + R e_position, v + e_velocity, ...
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fgloc.drive import Drive
-from fgloc.factors.imu import Array
-from fgloc.frames import exp_so3
+from fgloc.drive import GnssBias
+from fgloc.factors.gnss import bias_transition
+from fgloc.frames import exp_so3, skew
+from fgloc.measurements import Array
+from fgloc.positions import PositionSource
 
 ROTATION, POSITION, VELOCITY, BIAS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 15)
 CORE = 15
 """Errors before the slow ones."""
-GNSS, PER_NODE = 3, 5
+PER_SOURCE = 6
+"""Slow errors that a source of positions can have."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,39 +65,43 @@ class State:
         """Place (3,) of a point of the vehicle and its Jacobian (3, 15 + m)."""
         H = np.zeros((3, len(self.cov)))
         arm = self.R @ lever_m
-        x, y, z = lever_m
-        H[:, ROTATION] = -self.R @ np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        H[:, ROTATION] = -self.R @ skew(lever_m)
         H[:, POSITION] = self.R
         return self.p + arm, H
 
 
 @dataclass(frozen=True, eq=False)
 class Slow:
-    """What varies slowly: a stationary sigma (m,) and a time (m,) over which it is forgotten.
+    """What varies slowly, or not at all: a stationary sigma (m,) and a time (m,) over which it is
+    forgotten.
 
-    The error of the fixes comes first, East, North and up in m; then for each node the errors of
-    its surveyed place (2, m) and yaw (rad), which stay, and of its positions along its own axes
-    (2, m). What the drive does not state has a sigma of 0 and so stays at zero.
+    Each source of positions has six such errors, if it has them: its slow bias, East, North and up
+    in m, and those of its survey, East and North in m and yaw in rad, which stay. `active` says
+    which of all these are unknown at all.
     """
 
     sigma: Array
     tau_s: Array
+    active: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, drive: Drive) -> "Slow":
-        """As the drive states it."""
-        bias = drive.rig.gnss_bias
-        sigma, tau = [0.0 if bias is None else bias.sigma_m] * 3, [bias.tau_s if bias else 1.0] * 3
-        for node in drive.infrastructure.nodes:
-            sigma += [node.sigma_position_m] * 2 + [node.sigma_yaw_rad] + [node.bias_sigma_m] * 2
-            tau += [np.inf] * 3 + [node.bias_tau_s] * 2
-        return cls(np.array(sigma), np.array(tau))
+    def of(cls, sources: Sequence[PositionSource]) -> "Slow":
+        """The slow errors of a drive's sources; a node's positions have no height to be wrong."""
+        sigma, tau = [], []
+        for source in sources:
+            bias = source.bias or GnssBias(0.0, 1.0)
+            axes = [bias.sigma_m] * source.dof + [0.0] * (3 - source.dof)
+            sigma += [*axes, *source.survey_sigmas]
+            tau += [bias.tau_s] * 3 + [np.inf] * 3
+        active = np.array(sigma) > 0
+        return cls(np.array(sigma)[active], np.array(tau)[active], active)
+
+    @property
+    def of_fixes(self) -> int:
+        """How many of them, the first, are of the fixes: 3 or none."""
+        return int(self.active[:3].sum())
 
     def step(self, dt_s: float) -> tuple[Array, Array]:
         """Factor and variance (m,) of a first-order Gauss-Markov process over dt seconds."""
-        return np.exp(-dt_s / self.tau_s), -(self.sigma**2) * np.expm1(-2 * dt_s / self.tau_s)
-
-    @staticmethod
-    def of_node(number: int) -> int:
-        """Where the errors of a node begin among all errors of the state."""
-        return CORE + GNSS + PER_NODE * number
+        phi, noise = bias_transition(dt_s / self.tau_s, 1.0, 1.0)
+        return phi, (self.sigma * noise) ** 2

@@ -44,7 +44,7 @@ from fgloc.result import Event, Result
 from fgloc.trajectory import Trajectory
 from fgloc.verdicts import SourceVerdicts, Verdict
 
-_VERDICTS = {TAKEN: Verdict.USED, SECOND: Verdict.UNUSED, FAR: Verdict.GATED,
+_VERDICTS = {TAKEN: Verdict.USED, SECOND: Verdict.OTHER, FAR: Verdict.GATED,
              BEYOND: Verdict.OUTSIDE, UNSEEN: Verdict.UNUSED}  # fmt: skip
 
 
@@ -137,7 +137,7 @@ def _judge_detections(drive: Drive, filtering: Filter, verdicts: dict[str, Sourc
         return
     own, seen, fates = verdicts["detections"], filtering.data.seen, filtering.candidates
     own.set(slice(None), Verdict.UNUSED, "no fix is near enough in time")
-    own.set(table.kind == PEDESTRIAN, Verdict.UNUSED, "a pedestrian")
+    own.set(table.kind == PEDESTRIAN, Verdict.OTHER, "a pedestrian")
     own.set(~np.isfinite(table.p_node_m).all(-1), Verdict.INVALID, "position is not finite")
     for fate in sorted(_VERDICTS):
         for m in np.flatnonzero(fates.fate == fate):

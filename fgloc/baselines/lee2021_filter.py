@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.baselines.lee2021_sync import Late, Synchronised
-from fgloc.factors.roadside import FLOOR_M, SIGMA_ACROSS_M, sigma_along_m
+from fgloc.factors.detection import LEE2021_ACROSS_M, lee2021_sigma_m
 from fgloc.measurements import Array
 from fgloc.timing import seconds_to_ns
 
@@ -32,7 +32,8 @@ class Lee2021:
 
     process_sigma_m  R is its square, in x and y, for each step of 0.1 s; by the sweep in
                      tests/benchmarks/lee2021_sweep.py
-    floor_m          least sigma of a candidate in x, because (19) is zero at 13.76 m
+    floor_m          least sigma of a candidate in x, because (19) is zero at 13.76 m: no better
+                     than in y
     restart_s        after so long without an accepted fix the filter starts anew from the next
                      one: a gate that rejects everything would never recover
     late             `as-stamped`: a detection counts as true at its stamp however late it arrives,
@@ -43,11 +44,11 @@ class Lee2021:
     """
 
     gps_sigma_m: tuple[float, float] = (0.8, 2.0)
-    node_sigma_across_m: float = SIGMA_ACROSS_M
+    node_sigma_across_m: float = LEE2021_ACROSS_M
     threshold_m: float = 5.0
     correlation: float = 0.0
     process_sigma_m: float = 0.1
-    floor_m: float = FLOOR_M
+    floor_m: float = 0.3
     restart_s: float = 5.0
     late: Late = "as-stamped"
 
@@ -87,7 +88,7 @@ def gps_cov_m2(p: Lee2021 = LEE2021) -> Array:
 
 def node_cov_m2(distance_m: float, p: Lee2021 = LEE2021) -> Array:
     """Q of a candidate at a distance from its node, (2, 2)."""
-    sigma_x_m = float(sigma_along_m(distance_m, p.floor_m))  # Eq. (19)
+    sigma_x_m = float(lee2021_sigma_m(distance_m, p.floor_m))  # Eq. (19)
     return _cov(sigma_x_m, p.node_sigma_across_m, p.correlation)  # Eq. (7)
 
 

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.baselines.planar import with_unknown_attitude
+from fgloc.config import DetectionConfig
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
-from fgloc.factors.roadside import line_of_sight_cov_m2
 from fgloc.measurements import PEDESTRIAN, Array, NodeDetections
+from fgloc.positions import horizontal_cov_m2, world_positions
 from fgloc.timing import elapsed_s
 from fgloc.trajectory import Trajectory
 from fgloc.verdicts import SourceVerdicts, Verdict
@@ -29,16 +30,16 @@ def trajectory_of_detections(
     The covariance is what the node states, or Lee's law of the distance. Raises DriveError where
     no detection is near a fix.
     """
-    p_world_m, cov = _in_the_world(drive, table)
+    p_world_m = world_positions(drive, table)
     antenna_m, up_m2, known = _antenna_at(drive, table)
     far_m = np.linalg.norm(p_world_m - antenna_m[:, :2], axis=-1)
     finite = np.isfinite(table.p_node_m).all(-1)
     sound = finite & (table.kind != PEDESTRIAN) & known
     rows = _nearest(table, np.where(sound & (far_m <= NEAR_M), far_m, np.inf))
-    verdicts.set(slice(None), Verdict.UNUSED, "another was nearer to the fixes")
+    verdicts.set(slice(None), Verdict.OTHER, "another was nearer to the fixes")
     far = f"more than {NEAR_M:g} m from the fixes"
     verdicts.set(far_m > NEAR_M, Verdict.GATED, far)
-    verdicts.set(table.kind == PEDESTRIAN, Verdict.UNUSED, "a pedestrian")
+    verdicts.set(table.kind == PEDESTRIAN, Verdict.OTHER, "a pedestrian")
     verdicts.set(~known, Verdict.OUTSIDE, "no fixes at this time")
     verdicts.set(~finite, Verdict.INVALID, "position is not finite")
     verdicts.set(rows, Verdict.USED)
@@ -47,23 +48,23 @@ def trajectory_of_detections(
     lift_m = drive.rig.p_veh_box_m[2] - drive.rig.p_veh_ant_m[2]
     position = np.column_stack([p_world_m[rows], antenna_m[rows, 2] + lift_m])
     full = np.zeros((len(rows), 3, 3))
-    full[:, :2, :2], full[:, 2, 2] = cov[rows], up_m2[rows]
+    full[:, :2, :2] = _covariances(drive, table.take(rows), position[:, 2])
+    full[:, 2, 2] = up_m2[rows]
     return Trajectory(
         table.t_ns[rows], position, cov=with_unknown_attitude(full),
         p_veh_point_m=drive.rig.p_veh_box_m,
     )  # fmt: skip
 
 
-def _in_the_world(drive: Drive, table: NodeDetections) -> tuple[Array, Array]:
-    """East and North (N, 2) of all detections and their covariances (N, 2, 2)."""
-    p, cov = np.full((len(table), 2), np.nan), line_of_sight_cov_m2(table.p_node_m)
-    stated = np.isfinite(table.cov_node_m2).all((-1, -2))
-    cov[stated] = table.cov_node_m2[stated]
+def _covariances(drive: Drive, taken: NodeDetections, up_m: Array) -> Array:
+    """East and North (n, 2, 2) of some detections at heights (n,), as the graph has them."""
+    cov = np.zeros((len(taken), 2, 2))
     for number, node in enumerate(drive.infrastructure.nodes):
-        rows = table.node == number
-        p[rows] = node.to_world(table.p_node_m[rows])
-        cov[rows] = node.R_world_node @ cov[rows] @ node.R_world_node.T
-    return p, cov
+        rows = taken.node == number
+        if rows.any():
+            height_m = float(np.median(up_m[rows]))
+            cov[rows] = horizontal_cov_m2(node, taken.take(rows), DetectionConfig(), height_m)
+    return cov
 
 
 def _antenna_at(drive: Drive, table: NodeDetections) -> tuple[Array, Array, NDArray[np.bool_]]:

@@ -7,14 +7,14 @@ import numpy as np
 from fgloc.datasets.city import GNSS_SIGMA_ENU_M, IMU_HZ, ORIGIN, city_motion, city_rig
 from fgloc.datasets.simulator import Motion, simulate_gnss, simulate_imu, stream, truth_of
 from fgloc.drive import Drive, GnssBias
+from fgloc.factors.detection import LEE2021_ACROSS_M, lee2021_sigma_m, line_of_sight_cov_m2
 from fgloc.factors.gnss import bias_transition
-from fgloc.factors.roadside import line_of_sight_cov_m2
 from fgloc.infrastructure import Infrastructure, Node
 from fgloc.measurements import VEHICLE, Array, EnuVelocities, NodeDetections
 from fgloc.timing import seconds_to_ns
 
 BOX_M = (1.4, 0.0, 0.8)
-SIGMA_V_MPS = 0.1
+SIGMA_V_MPS, FLOOR_M = 0.1, 0.3
 SECOND_CAR_BEHIND_S = 1.5
 GHOST_ID, CAR_ID, OTHER_ID = 90, 7, 8
 
@@ -77,7 +77,8 @@ def _detections(
                  for k in np.flatnonzero(seen) if k % 7 == 0]  # fmt: skip
     rows.sort(key=lambda row: row[0])
     p = np.array([row[2] for row in rows]).reshape(-1, 2)
-    cov = line_of_sight_cov_m2(p)
+    along = lee2021_sigma_m(np.linalg.norm(p, axis=1), FLOOR_M)
+    cov = line_of_sight_cov_m2(p, along, LEE2021_ACROSS_M)
     p = p + np.einsum("nij,nj->ni", np.linalg.cholesky(cov), rng.standard_normal(p.shape))
     t_ns = motion.t_ns[[row[0] for row in rows]]
     n = len(rows)

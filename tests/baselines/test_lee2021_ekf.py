@@ -78,7 +78,7 @@ def test_every_row_has_one_verdict_and_the_totals_add_up(drive):
     used = own.is_("used")
     assert used.any() and own.is_("gated").any() and own.is_("outside").any()
     assert (own.dof[used] == 2).all() and np.isfinite(own.nis[used]).all()
-    assert "another candidate was nearer" in set(own.reason[own.is_("unused")])
+    assert "another candidate was nearer" in set(own.reason[own.is_("other object")])
     assert result.verdicts["gnss"].reason[0] == "the filter starts from it"
 
 

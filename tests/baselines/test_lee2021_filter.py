@@ -19,7 +19,7 @@ from fgloc.baselines.lee2021_filter import (
     node_cov_m2,
 )
 from fgloc.baselines.lee2021_sync import Candidates, Synchronised
-from fgloc.factors.roadside import line_of_sight_cov_m2, sigma_along_m
+from fgloc.factors.detection import lee2021_sigma_m
 
 STEP_NS = 100_000_000
 
@@ -64,19 +64,7 @@ def test_the_covariances_are_those_of_table_ii():
     [(0.0, 0.702), (5.0, 0.447), (13.7647, 0.3), (20.0, 0.318), (40.0, 1.338), (60.0, 2.358)],
 )
 def test_the_sigma_along_grows_with_the_distance_and_has_a_floor(distance_m, sigma_m):
-    assert sigma_along_m(distance_m) == pytest.approx(sigma_m)
-
-
-def test_without_a_floor_a_candidate_at_13_76_m_would_weigh_infinitely_much():
-    assert sigma_along_m(0.702 / 0.051, floor_m=0.0) == pytest.approx(0.0, abs=1e-12)
-
-
-def test_in_the_line_of_sight_the_law_is_turned_to_where_the_object_is():
-    cov = line_of_sight_cov_m2(np.array([[40.0, 0], [0, 40.0], [24, 32.0], [0, 0]]))
-    np.testing.assert_allclose(cov[0], np.diag([1.338**2, 0.09]))
-    np.testing.assert_allclose(cov[1], np.diag([0.09, 1.338**2]))
-    np.testing.assert_allclose(cov[2] @ [0.6, 0.8], 1.338**2 * np.array([0.6, 0.8]))
-    np.testing.assert_allclose(cov[3], np.diag([0.702**2, 0.09]))
+    assert lee2021_sigma_m(distance_m, LEE2021.floor_m) == pytest.approx(sigma_m)
 
 
 def test_the_fix_comes_first_and_then_the_candidate_nearest_to_the_prediction():
