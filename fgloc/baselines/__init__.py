@@ -18,6 +18,7 @@ _METHODS: dict[str, str] = {
     "lee2021-ekf:on-arrival": "lee2021_ekf.run_on_arrival",
     "lee2021-ekf:printed": "lee2021_ekf.run_printed",
     "eskf": "eskf.run",
+    "eskf:velocity": "eskf.run_by_velocity",
 }
 """Module and function of each method: from a drive to its result, `summary` without wall time."""
 

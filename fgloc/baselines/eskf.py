@@ -32,7 +32,14 @@ BUFFER_S = 2.0
 """How far the filter goes back for what came late; older readings are left out."""
 
 
-def run(drive: Drive) -> Result:
+def run_by_velocity(drive: Drive) -> Result:
+    """The same by the table of velocities alone, as `lee2021-ekf` moves, whether or not there is
+    an IMU; its samples have no verdicts."""
+    tables = {name: table for name, table in drive.tables.items() if name != "imu"}
+    return run(replace(drive, tables=tables), "eskf:velocity")
+
+
+def run(drive: Drive, method: str = "eskf") -> Result:
     """The filter's estimate of a drive, from the epoch on at which the course shows.
 
     Each state is as it was when it was the newest. Raises DriveError where the drive lacks fixes
@@ -49,9 +56,9 @@ def run(drive: Drive) -> Result:
         raise SolverError(f"drive {drive.name!r}: {err}") from err
     trajectory = filtering.trajectory()
     more = {"moves_by": filtering.moves_by, "start_s": filtering.waited_s}
-    summary = summarize(drive, "eskf", "filter", trajectory, line.verdicts, more)
+    summary = summarize(drive, method, "filter", trajectory, line.verdicts, more)
     events = sorted([*line.events, *filtering.events], key=lambda event: event.t_ns)
-    return Result(trajectory, line.verdicts, summary, "eskf", causal=True, events=tuple(events))
+    return Result(trajectory, line.verdicts, summary, method, causal=True, events=tuple(events))
 
 
 class Eskf:
