@@ -103,7 +103,7 @@ class Eskf:
                 continue
             self._states[k] = self._line.motion.step(k, self._states[k - 1])
             self._take_in(k, arrived)
-            self._written.append(self._states[k])
+            self._written.append(self._line.motion.told(k, self._states[k]))
         if not self._written:
             raise SolverError(
                 "eskf starts where the fixes show a course, and they never did; a vehicle that "
@@ -186,7 +186,7 @@ class Eskf:
         for i in range(at + 1, k + 1):
             state = self._line.motion.step(i, state)
         self._start, self._states[k] = k, state
-        self._written.append(state)
+        self._written.append(self._line.motion.told(k, state))
         for row in used:
             self._line.verdicts["gnss"].set(
                 self._line.positions.row[row], Verdict.USED, "the filter started from it"

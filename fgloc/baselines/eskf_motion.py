@@ -1,10 +1,11 @@
 """How the error-state filter moves from epoch to epoch: by an IMU, or by stated velocities."""
 
+from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
 
-from fgloc.baselines.eskf_state import BIAS, CORE, POSITION, ROTATION, VELOCITY, Slow, State
+from fgloc.baselines.eskf_state import BIAS, CORE, POSITION, ROTATION, Slow, State
 from fgloc.config import ImuConfig
 from fgloc.drive import Drive, ImuNoise
 from fgloc.errors import DriveError
@@ -30,6 +31,9 @@ class Motion(Protocol):
 
     def step(self, k: int, state: State) -> State:
         """The state at epoch k from that at epoch k - 1."""
+
+    def told(self, k: int, state: State) -> State:
+        """The state at epoch k as it is written."""
 
 
 class Inertial:
@@ -74,12 +78,18 @@ class Inertial:
         cov[np.arange(9, len(cov)), np.arange(9, len(cov))] += np.concatenate([walk, variance])
         return State(R_j[0], p[0], v[0], bias, phi * state.slow, (cov + cov.T) / 2)
 
+    def told(self, k: int, state: State) -> State:
+        """As it is."""
+        return state
+
 
 class Planar:
     """Stated velocities, on a level road along their course; the vehicle's origin is the point.
 
     Their errors are white from row to row. Heading and velocity are those of the table at every
-    epoch: only the position and the slow errors are filtered.
+    epoch: only the position and the slow errors are filtered. What the heading errs turns lever
+    arms by some cm, for long the same; were it taken for noise, new at each epoch, the filter would
+    tell height from pitch by it. It is left out there and added to what is told.
     """
 
     p_veh_m = np.zeros(3)
@@ -91,32 +101,35 @@ class Planar:
         *v, self._sigma = (np.interp(self._t_s, have, column) for column in columns)
         self.v = np.stack(v, -1)
         self._spacing_s = float(np.median(np.diff(have))) if len(have) > 1 else 0.1
+        fast = np.hypot(*self.v[:, :2].T) >= MIN_SPEED_MPS
+        self._course_at = np.maximum.accumulate(np.where(fast, np.arange(len(fast)), -1))
 
     def heading(self, k: int) -> tuple[Array, float] | None:
-        """Attitude along the course at an epoch and the sigma of its yaw; None if too slow."""
-        speed = float(np.hypot(*self.v[k, :2]))
-        if speed < MIN_SPEED_MPS:
+        """Attitude along the course at an epoch and the sigma of its yaw; while the vehicle is slow
+        as it was last, None where it never moved."""
+        at = int(self._course_at[k])
+        if at < 0:
             return None
-        R = yaw_matrix(np.arctan2(self.v[k, 1], self.v[k, 0]))
-        return R, float(np.hypot(SLIP_RAD, self._sigma[k] / speed))
-
-    def sigma_mps(self, k: int) -> float:
-        """Of each component of the velocity at an epoch."""
-        return float(self._sigma[k])
+        speed = float(np.hypot(*self.v[at, :2]))
+        R = yaw_matrix(np.arctan2(self.v[at, 1], self.v[at, 0]))
+        return R, float(np.hypot(SLIP_RAD, self._sigma[at] / speed))
 
     def step(self, k: int, state: State) -> State:
-        """Along the mean of two velocities; a heading is kept while the vehicle is slow."""
+        """Along the mean of two velocities."""
         dt_s = float(self._t_s[k] - self._t_s[k - 1])
-        R, yaw_sigma = self.heading(k) or (state.R, None)
+        R, _ = self.heading(k) or (state.R, 0.0)
         phi, variance = self._slow.step(dt_s)
         F = np.diag(np.concatenate([np.zeros(CORE), phi]))
         F[POSITION, POSITION] = R.T @ state.R
         cov = F @ state.cov @ F.T
         cov[POSITION, POSITION] += self._sigma[k] ** 2 * self._spacing_s * dt_s * np.eye(3)
-        cov[VELOCITY, VELOCITY] = self._sigma[k] ** 2 * np.eye(3)
-        cov[ROTATION, ROTATION] = state.cov[ROTATION, ROTATION]
-        if yaw_sigma is not None:
-            cov[ROTATION, ROTATION] = np.diag([LEVEL_RAD, LEVEL_RAD, yaw_sigma]) ** 2
         cov[np.arange(CORE, len(cov)), np.arange(CORE, len(cov))] += variance
         p = state.p + (self.v[k] + self.v[k - 1]) / 2 * dt_s
         return State(R, p, self.v[k], state.bias, phi * state.slow, (cov + cov.T) / 2)
+
+    def told(self, k: int, state: State) -> State:
+        """With what the heading may err."""
+        _, yaw_sigma = self.heading(k) or (state.R, np.pi)
+        cov = state.cov.copy()
+        cov[ROTATION, ROTATION] = np.diag([LEVEL_RAD, LEVEL_RAD, yaw_sigma]) ** 2
+        return replace(state, cov=cov)

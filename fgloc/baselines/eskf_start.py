@@ -177,9 +177,7 @@ def start_planar(
     heading = motion.heading(k)
     if heading is None:
         return None
-    R, yaw_sigma = heading
+    R, _ = heading
     own = np.zeros((CORE, CORE))
-    own[ROTATION, ROTATION] = np.diag([LEVEL_RAD, LEVEL_RAD, yaw_sigma]) ** 2
     own[POSITION, POSITION] = R.T @ cov_m2 @ R
-    own[VELOCITY, VELOCITY] = motion.sigma_mps(k) ** 2 * np.eye(3)
     return with_slow(R, z_m - R @ lever_m, motion.v[k], own, slow)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from fgloc.evaluation.comparison import Comparison
 
 MEAN = "horizontal_mean_m"
-STANDING_METRICS = ("horizontal_std_m", "horizontal_rmse_m", "horizontal_p95_m", "anees")
+STANDING_METRICS = ("horizontal_std_m", "horizontal_rmse_m", "horizontal_p95_m", "anees_horizontal")
 MOST_ROWS = 40
 """Rows of single drives on screen; compare.json holds all."""
 _EPILOG = """\b

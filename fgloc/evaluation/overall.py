@@ -15,7 +15,7 @@ MAIN = "horizontal_rmse_m"
 MEAN = "horizontal_mean_m"
 AVERAGED = (
     MEAN, "horizontal_std_m", MAIN, "horizontal_p95_m", "lateral_rmse_m", "longitudinal_rmse_m",
-    "anees", "scored_share",
+    "anees_horizontal", "scored_share",
 )  # fmt: skip
 """The metrics that are averaged over the drives under each condition."""
 WHOLE = "whole drive"

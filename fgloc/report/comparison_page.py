@@ -35,7 +35,7 @@ STANDINGS = {
     "horizontal_p95_m": "95 % below (m)",
     "lateral_rmse_m": "Lateral (m)",
     "longitudinal_rmse_m": "Longitudinal (m)",
-    "anees": "ANEES",
+    "anees_horizontal": "ANEES in the plane",
 }
 """The columns of the table by condition."""
 _SHOWN_ROWS = 200

@@ -104,6 +104,12 @@ def test_without_an_imu_it_moves_by_the_velocities(drive):
     assert sum(result.summary["counts"]["velocity"].values()) == len(drive.tables["velocity"])
 
 
+def test_by_velocities_alone_the_height_is_that_of_the_fixes(drive):
+    level = replace(drive, tables=dict(drive.tables))
+    scores = fgloc.score(fgloc.baseline(level, "eskf:velocity").trajectory, drive.truth)
+    assert scores["anees_position"].value < 2.5
+
+
 def test_a_start_in_reverse_is_told_from_the_accelerations():
     ahead = fgloc.make("city", seed=2, duration_s=30.0)
     # The same drive with vehicle and IMU turned about: it sets off backwards.
