@@ -16,6 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgloc.factors.imu import INTEGRATION_NOISE_M_PER_SQRT_S, ImuDeltas
+from fgloc.frames import (
+    exp_so3,
+    log_so3,
+    right_jacobian_inverse_so3,
+    right_jacobian_so3,
+    skew,
+)
 from fgloc.measurements import Array
 
 SAMPLES_AT_ONCE = 40_000
@@ -55,6 +62,42 @@ def _variances(noise: ArrayLike, n: int) -> Array:
     """Squares of densities: (1, n) where all axes are alike, (3, n) where they are not."""
     square = np.square(np.asarray(noise, float))
     return square.T if square.ndim == 2 else np.broadcast_to(square, (1, n))
+
+
+def join(first: ImuDeltas, second: ImuDeltas) -> ImuDeltas:
+    """Intervals (N,) and those that follow them as one, from their sums alone.
+
+    Both must be linearised at the same bias. The sums of the whole differ to second order in what
+    turns within a sample.
+    """
+    (theta_1, p_1, v_1), (theta_2, p_2, v_2) = (
+        np.split(deltas.delta, 3, axis=1) for deltas in (first, second)
+    )
+    R_1, R_2, T = exp_so3(theta_1), exp_so3(theta_2), second.dt_s[:, None, None]
+    R = R_1 @ R_2
+    theta = log_so3(R)
+    p = p_1 + v_1 * T[..., 0] + np.einsum("nij,nj->ni", R_1, p_2)
+    v = v_1 + np.einsum("nij,nj->ni", R_1, v_2)
+    # How errors of the first travel, in the frames of the two ends.
+    back = R_2.swapaxes(-1, -2)
+    F = np.zeros_like(first.cov)
+    F[:, :3, :3] = F[:, 3:6, 3:6] = F[:, 6:, 6:] = back
+    F[:, 3:6, :3], F[:, 6:, :3] = -back @ skew(p_2), -back @ skew(v_2)
+    F[:, 3:6, 6:] = back * T
+    cov = F @ first.cov @ F.swapaxes(-1, -2) + second.cov
+    # The Jacobians by the bias are those of errors at the end, but for the frame they stand in.
+    by_bias = F @ _end(first, R_1) + _end(second, R_2)
+    by_bias[:, :3] = right_jacobian_inverse_so3(theta) @ by_bias[:, :3]
+    by_bias[:, 3:6], by_bias[:, 6:] = R @ by_bias[:, 3:6], R @ by_bias[:, 6:]
+    delta = np.concatenate([theta, p, v], axis=1)
+    return ImuDeltas(delta, by_bias, cov, first.dt_s + second.dt_s, second.bias_hat)
+
+
+def _end(deltas: ImuDeltas, R: Array) -> Array:
+    """The Jacobians by the bias (N, 9, 6) as errors in the frame R of the interval's end."""
+    back, by_bias = R.swapaxes(-1, -2), deltas.by_bias
+    turn = right_jacobian_so3(deltas.delta[:, :3]) @ by_bias[:, :3]
+    return np.concatenate([turn, back @ by_bias[:, 3:6], back @ by_bias[:, 6:]], axis=1)
 
 
 def _portions(count: NDArray[np.int64]) -> Iterator[slice]:

@@ -37,10 +37,41 @@ class GnssConfig(Section):
     """After this long without an accepted fix the gate opens, or it would never recover."""
     sigma_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
     """Factor on every fix's standard deviation."""
-    bias_sigma_m: float = Field(default=0.0, ge=0)
-    """Stationary standard deviation per axis of a slowly varying position bias; 0 leaves it out."""
-    bias_tau_s: float = Field(default=60.0, gt=0)
-    """Time constant of that bias."""
+    bias_sigma_m: float | None = Field(default=None, ge=0)
+    """Stationary standard deviation per axis of a slowly varying position bias; 0 leaves it out.
+    Default: what the drive's rig states, or 0."""
+    bias_tau_s: float | None = Field(default=None, gt=0)
+    """Time constant of that bias. Default: what the rig states, or 60 s."""
+
+
+class DetectionConfig(Section):
+    """How what roadside nodes see enters the graph."""
+
+    use: bool = True
+    covariance: Literal["stated", "lee2021", "khamooshi2023"] = "stated"
+    """Of a detection: what the node states (where it states none, Lee's law), or a law of the
+    distance; see `factors/detection.py`."""
+    sigma_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
+    """Factor on every detection's standard deviation."""
+    floor_m: float = Field(default=0.3, gt=0)
+    """Least sigma along the line of sight under Lee's law, which is 0 at 13.76 m."""
+    loss: Literal["none", "huber", "cauchy"] = "huber"
+    loss_width: float = Field(default=3.0, gt=0)
+    """Whitened norm at which the loss leaves the parabola; 3.0 holds 99 % of two-dimensional
+    Gaussian errors."""
+    gate_probability: float = Field(default=0.999, gt=0, le=1)
+    """A candidate is not the car where its NIS exceeds this quantile of chi-square, times the slack
+    squared."""
+    gate_slack: float = Field(default=1.5, ge=1, le=1e6)
+    """Less than a fix's: what a fix has to fit is noise, here it is the car next to it as well."""
+    bias_sigma_m: float | None = Field(default=None, ge=0)
+    """Standard deviation per axis of each node's slowly varying error; 0 leaves it out. Default:
+    what the node states."""
+    bias_tau_s: float | None = Field(default=None, gt=0)
+    """Time constant of that error. Default: what the node states."""
+    offset_sigma_m: float = Field(default=0.0, ge=0)
+    """How far, each axis, the box's centre may be from where the rig says; above 0 it is
+    estimated."""
 
 
 class ImuConfig(Section):
@@ -148,9 +179,10 @@ class ClockConfig(Section):
     gnss_s: float = Field(default=0.0, ge=-60, le=60)
     imu_s: float = Field(default=0.0, ge=-60, le=60)
     wheel_s: float = Field(default=0.0, ge=-60, le=60)
-    estimate: Literal["none", "gnss", "imu"] = "none"
-    """Estimate, in a batch, how late the stamps of fixes or IMU are against the other's, as one
-    constant of the drive. The other's clock is that of the trajectory."""
+    nodes_s: float = Field(default=0.0, ge=-60, le=60)
+    estimate: Literal["none", "gnss", "imu", "nodes"] = "none"
+    """Estimate, in a batch, how late the stamps of fixes, IMU or roadside nodes are against all
+    others, as one constant of the drive. The others' clock is that of the trajectory."""
     sigma_s: float = Field(default=0.3, gt=0)
     """How late they may be beforehand."""
 
@@ -188,6 +220,7 @@ class SmoothConfig(Section):
     seed: int | None = None
     """Kept with the results of simulated drives; the smoother itself draws nothing."""
     gnss: GnssConfig = GnssConfig()
+    detections: DetectionConfig = DetectionConfig()
     imu: ImuConfig = ImuConfig()
     motion: MotionConfig = MotionConfig()
     vehicle: VehicleConfig = VehicleConfig()

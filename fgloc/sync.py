@@ -23,8 +23,9 @@ from fgloc.constraints import (
 )
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
-from fgloc.measurements import Array, GnssFixes, ImuSamples
+from fgloc.measurements import Array, ImuSamples
 from fgloc.motion import Motion, credit, kind_of, made_up, measured
+from fgloc.positions import Positions, measured_positions, repeats
 from fgloc.result import Event
 from fgloc.timing import Instants, elapsed_s, seconds_to_ns
 from fgloc.verdicts import SourceVerdicts, Verdict
@@ -37,7 +38,6 @@ class Epochs:
     t_ns          (K,) instants, increasing
     is_keyframe   (K,) bool
     in_gap        (K,) bool: the interval that ends here lies in an IMU gap
-    fix_row       (K,) row of the GNSS fix true at the epoch, -1 where there is none
     first_sample  (K + 1,) samples first_sample[k]:first_sample[k + 1] lead from epoch k - 1 to k
     accel_mps2    (M, 3) mean specific force of each step between samples: at the IMU's place,
                   along the vehicle's axes
@@ -49,7 +49,6 @@ class Epochs:
     t_ns: Instants
     is_keyframe: NDArray[np.bool_]
     in_gap: NDArray[np.bool_]
-    fix_row: NDArray[np.int64]
     first_sample: NDArray[np.int64]
     accel_mps2: Array
     gyro_radps: Array
@@ -72,11 +71,12 @@ class Epochs:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Epochs of a drive, what leads from one to the next, the vehicle's constraints at them, the
-    first verdicts on every row, and what there was to remark."""
+    """Epochs of a drive, what leads from one to the next, the positions measured and the vehicle's
+    constraints at them, the first verdicts on every row, and what there was to remark."""
 
     epochs: Epochs
     motion: Motion
+    positions: Positions
     constraints: Constraints
     verdicts: dict[str, SourceVerdicts]
     events: tuple[Event, ...]
@@ -87,36 +87,34 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
 
     Raises DriveError where there are no fixes, or they do not overlap in time with the IMU.
     """
-    gnss = drive.gnss
     verdicts = {
         name: SourceVerdicts.of(name, table, Verdict.UNUSED, f"no {name} factor in this method")
         for name, table in drive.tables.items()
     }
     motion = _motion(drive, config, verdicts)
     imu = motion.samples
-    usable = _usable_fixes(gnss, imu, verdicts["gnss"], drive.name)
-    first, last = gnss.t_ns[usable[0]], imu.t_ns[-1]
+    span_ns = (int(imu.t_ns[0]), int(imu.t_ns[-1]))
+    positions = measured_positions(drive, config, span_ns, verdicts)
+    first, last = positions.t_ns[0], imu.t_ns[-1]
     if not motion.is_made_up:
         _judge_early(drive.imu, imu, first, verdicts["imu"])
     gaps = _gaps(imu, first, motion.gap_s)
-    keyframes = _merged(gnss.t_ns[usable], gaps.ravel(), [first, last])
+    keyframes = _merged(positions.t_ns, gaps.ravel(), [first, last])
     rows = chosen_rows(drive, keyframes, config, motion, verdicts)
     credit(motion, verdicts)
     keyframes = _merged(keyframes, *_times(drive, rows))
     keyframes = _fill(keyframes, _keyframe_interval_s(config, motion))
     t_ns = _fill(keyframes, config.output_interval_s)
-    fix_row = np.full(len(t_ns), -1)
-    fix_row[np.searchsorted(t_ns, gnss.t_ns[usable])] = usable
     in_gap = np.zeros(len(t_ns), bool)
     for start, end in gaps:
         in_gap |= (t_ns > start) & (t_ns <= end)
     steps = _steps(imu, motion.T_veh_imu[:3, :3], t_ns)
     is_keyframe = np.zeros(len(t_ns), bool)
     is_keyframe[np.searchsorted(t_ns, keyframes)] = True
-    epochs = Epochs(t_ns, is_keyframe, in_gap, fix_row, *steps)
+    epochs = Epochs(t_ns, is_keyframe, in_gap, *steps)
     held = constraints(drive, motion, t_ns, epochs.is_keyframe, rows)
     _count(held, t_ns, motion, verdicts)
-    return Plan(epochs, motion, held, verdicts, _gap_events(gaps, motion))
+    return Plan(epochs, motion, positions, held, verdicts, _gap_events(gaps, motion))
 
 
 def _motion(drive: Drive, config: SmoothConfig, verdicts: dict[str, SourceVerdicts]) -> Motion:
@@ -158,45 +156,13 @@ def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> Imu
     """The samples that are finite and the first of their instant."""
     values = np.hstack([imu.accel_mps2, imu.gyro_radps])
     finite = np.asarray(np.isfinite(values).all(-1))
-    duplicate = _repeats(imu.t_ns, finite)
+    duplicate = repeats(imu.t_ns, finite)
     verdicts.set(slice(None), Verdict.USED)
     verdicts.set(duplicate, Verdict.DUPLICATE, "an earlier row has the same t_ns")
     verdicts.set(~finite, Verdict.INVALID, "specific force or angular rate is not finite")
     if not finite.any():
         raise DriveError(f"drive {name!r}: none of its {len(imu)} IMU samples is finite")
     return imu.take(finite & ~duplicate)
-
-
-def _usable_fixes(
-    gnss: GnssFixes, imu: ImuSamples, verdicts: SourceVerdicts, name: str
-) -> NDArray[np.int64]:
-    """Rows that can enter: sound, the first such of their instant, and where there is an IMU."""
-    finite = np.isfinite(gnss.p_world_ant_m).all(-1) & np.isfinite(gnss.cov_world_m2).all((-1, -2))
-    definite = np.zeros(len(gnss), bool)
-    definite[finite] = np.linalg.eigvalsh(gnss.cov_world_m2[finite])[:, 0] > 0
-    duplicate = _repeats(gnss.t_ns, definite)
-    outside = (gnss.t_ns < imu.t_ns[0]) | (gnss.t_ns > imu.t_ns[-1])
-    verdicts.set(slice(None), Verdict.UNUSED, "not reached")
-    verdicts.set(duplicate, Verdict.DUPLICATE, "an earlier row has the same t_ns")
-    verdicts.set(outside, Verdict.OUTSIDE, "no IMU samples at this time")
-    verdicts.set(~definite, Verdict.INVALID, "the covariance is not positive definite")
-    verdicts.set(~finite, Verdict.INVALID, "position or covariance is not finite")
-    usable = np.flatnonzero(definite & ~duplicate & ~outside)
-    if len(usable) < 2:
-        raise DriveError(
-            f"drive {name!r}: {len(usable)} of {len(gnss)} GNSS fixes lie within the IMU's span of "
-            f"time and are valid ({int(outside.sum())} outside, {int((~definite).sum())} invalid); "
-            "at least 2 are needed (are both on the same clock? GPS is 18 s ahead of UTC)"
-        )
-    return usable
-
-
-def _repeats(t_ns: Instants, sound: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(N,) bool: sound rows of an instant that an earlier sound row has already told of."""
-    rows = np.flatnonzero(sound)
-    repeats = np.zeros(len(t_ns), bool)
-    repeats[rows[1:]] = t_ns[rows[1:]] == t_ns[rows[:-1]]
-    return repeats
 
 
 def _judge_early(

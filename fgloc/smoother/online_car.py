@@ -28,9 +28,9 @@ class OnlineCar:
         received = np.empty(0, np.int64)
         if self.car.wheels is not None:
             received = self.car.wheels.received_ns[self.car.wheel_row[keys]]
-        self._arriving = arrivals(model.t_ns, keys, received)
+        self._arriving = arrivals(model.t_ns, keys, received, keys)
         told = self.car.velocities
-        arriving = arrivals(model.t_ns, told.keys, told.received_ns)
+        arriving = arrivals(model.t_ns, told.keys, told.received_ns, told.keys)
         self._velocities = OnlineVelocities(model, arriving)
         self.axes: set[int] = set()
         self._speeds: set[int] = set()
@@ -143,11 +143,16 @@ class OnlineCar:
         return True
 
 
-def arrivals(t_ns: Instants, keys: NDArray[np.int64], received_ns: Instants) -> list[list[int]]:
-    """For each keyframe, and the end, the keyframes whose measurement came in since the last."""
+def arrivals(
+    t_ns: Instants, items: NDArray[np.int64], received_ns: Instants, keys: NDArray[np.int64]
+) -> list[list[int]]:
+    """For each keyframe, and the end, which items came in since the last, none before its own.
+
+    `keys` are the keyframes at which the items are true.
+    """
     order = np.argsort(received_ns, kind="stable")
     step = np.maximum(np.searchsorted(t_ns, received_ns), keys)
     result: list[list[int]] = [[] for _ in range(len(t_ns) + 1)]
     for i in order:
-        result[step[i]].append(int(keys[i]))
+        result[step[i]].append(int(items[i]))
     return result

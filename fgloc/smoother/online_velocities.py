@@ -59,7 +59,7 @@ class OnlineVelocities:
             own.set(row, Verdict.USED, "before the yaw was aligned")
             return True
         if key != j or v_world_mps is None or cov is None:
-            v_world_mps, cov = tree.velocity(V(key)), tree.covariance([V(key)])
+            v_world_mps, cov = tree.vector(V(key)), tree.covariance([V(key)])
         if self.told.fits(key, v_world_mps, cov):
             return True
         waited = self.model.t_s[key] - self._accepted_s > self.model.config.gnss.gate_reset_s

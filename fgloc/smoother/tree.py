@@ -40,7 +40,16 @@ def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2
         for letter in "xy":
             sizes.insert((letter, np.repeat(thresholds, 3)))
         sizes.insert(("k", np.repeat([OTHER_THRESHOLD, MOUNTING_THRESHOLD], 3)))
-        for letter, size in (("v", 3), ("b", 6), ("a", 3), ("c", 3), ("l", 3), ("w", 3), ("z", 3)):
+        for letter, size in (
+            ("v", 3),
+            ("b", 6),
+            ("a", 3),
+            ("c", 3),
+            ("l", 3),
+            ("w", 3),
+            ("z", 3),
+            ("s", 3),
+        ):
             sizes.insert((letter, np.full(size, OTHER_THRESHOLD)))
         params.setRelinearizeThreshold(sizes)
         params.enablePartialRelinearizationCheck = True
@@ -89,9 +98,9 @@ class WholeTree:
         """The present value of a pose."""
         return self._solver.calculateEstimatePose3(key)
 
-    def velocity(self, key: int) -> Array:
-        """The present value of a velocity (3,)."""
-        return np.asarray(self._solver.calculateEstimateVector(key))
+    def vector(self, key: int) -> Array:
+        """The present value of a vector."""
+        return self._solver.calculateEstimateVector(key)
 
     def bias(self, key: int) -> gtsam.imuBias.ConstantBias:
         """The present value of a bias, or of what is kept as one."""
