@@ -52,6 +52,15 @@ class Car:
         self.pitch_rad = self.config.pitch_rad_per_mps2 * held.ahead_mps2[at]
         self.acts = bool(self.in_force.any())
 
+    def worth(self, first: int, stop: int) -> int:
+        """How many fixes have as many numbers as the velocities of keyframes first..stop - 1 and,
+        without an IMU, what else there is ten times a second."""
+        within = slice(first, stop)
+        numbers = 3 * int((self.velocities.row[within] >= 0).sum())
+        if not self.is_mounted:
+            numbers += int((self.wheel_row[within] >= 0).sum() + 2 * self.in_force[within].sum())
+        return numbers // 3
+
     def summary(self) -> dict[str, float]:
         """What was found of the wheels and of the mounting, where anything tells of them."""
         if not self.acts:
