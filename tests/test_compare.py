@@ -176,7 +176,20 @@ def test_over_several_drives_the_ratio_is_of_the_sums():
     means = {m: [r.metrics["horizontal_mean_m"].value for r in table.of(m)] for m in table.methods}
     ratio = table.standings()[1].ratio
     assert ratio.n == 2 and ratio.low <= ratio.value <= ratio.high
-    assert ratio.value == pytest.approx(sum(means["lee2021-ekf"]) / sum(means["raw:gnss"]))
+    assert ratio.value == pytest.approx(
+        sum(means["lee2021-ekf"]) / sum(means["raw:gnss"]), rel=0.01
+    )
+
+
+def test_a_method_that_says_little_is_compared_where_it_does():
+    drives = [roadside_drive(seed, duration_s=40.0) for seed in (1, 3)]
+    table = fgloc.compare(drives, ["raw:gnss", "raw:detections"])
+    standing = table.standings()[1]
+    pairs = np.array([row.means for row in table.of("raw:detections")])
+    assert standing.ratio.value == pytest.approx(pairs[:, 0].sum() / pairs[:, 1].sum())
+    assert all(row.metrics["scored_share"].value < 0.9 for row in table.of("raw:detections"))
+    own = [row.metrics["horizontal_mean_m"].value for row in table.of("raw:detections")]
+    np.testing.assert_allclose(pairs[:, 0], own, rtol=0.02)
 
 
 def test_the_command_prints_the_conditions(tmp_path, capsys):

@@ -31,7 +31,7 @@ class Lee2021:
     Not in the paper:
 
     process_sigma_m  R is its square, in x and y, for each step of 0.1 s; by the sweep in
-                     tests/benchmarks/lee2021_sweep.py
+                     tests/benchmarks/lee2021_sweep.py: what velocities of 0.2 m/s make of it
     floor_m          least sigma of a candidate in x, because (19) is zero at 13.76 m: no better
                      than in y
     restart_s        after so long without an accepted fix the filter starts anew from the next
@@ -47,7 +47,7 @@ class Lee2021:
     node_sigma_across_m: float = LEE2021_ACROSS_M
     threshold_m: float = 5.0
     correlation: float = 0.0
-    process_sigma_m: float = 0.1
+    process_sigma_m: float = 0.02
     floor_m: float = 0.3
     restart_s: float = 5.0
     late: Late = "as-stamped"

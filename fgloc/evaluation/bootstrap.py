@@ -149,6 +149,14 @@ def paired_ratio(
     return Metric(float(mean[0] / mean[1]), "1", "lower", len(values), low, high)
 
 
+def paired_means(
+    errors_a: Errors, errors_b: Errors, *, column: str = "horizontal_m"
+) -> tuple[float, float]:
+    """The means that `paired_ratio` is of; raises InputError where the two share no instant."""
+    a, b = _paired(errors_a, errors_b, column)[0].mean(axis=0)
+    return float(a), float(b)
+
+
 def _paired(errors_a: Errors, errors_b: Errors, column: str) -> tuple[Array, Instants]:
     """A column of both (n, 2) at the instants (n,) at which both are known."""
     _, rows_a, rows_b = np.intersect1d(errors_a.t_ns, errors_b.t_ns, return_indices=True)

@@ -10,7 +10,7 @@ import numpy as np
 from fgloc.drive import Drive
 from fgloc.errors import FglocError, InputError
 from fgloc.evaluation.against_truth import Errors
-from fgloc.evaluation.bootstrap import paired_difference, paired_ratio
+from fgloc.evaluation.bootstrap import paired_difference, paired_means, paired_ratio
 from fgloc.evaluation.conditions import Mask, conditions, under
 from fgloc.evaluation.gaps import Spans, gnss_outages, used_fixes_ns
 from fgloc.evaluation.judgement import judge
@@ -55,6 +55,7 @@ class Row:
     difference    horizontal RMSE minus that of the first method at the same instants, with its
                   interval; below zero is better. None for the first method and without truth
     ratio         mean horizontal error over that of the first method, likewise; below one is better
+    means         the two that it is of
     conditions    the scores under each condition of the drive, see `conditions`
     failed        why there is no result, else empty
     """
@@ -70,6 +71,7 @@ class Row:
     wall_s: float = 0.0
     difference: Metric | None = None
     ratio: Metric | None = None
+    means: tuple[float, float] | None = None
     conditions: Mapping[str, Scores] = field(default_factory=dict)
     failed: str = ""
 
@@ -93,7 +95,7 @@ class Row:
     def under(self, condition: str) -> Scores:
         """The scores under a condition, or over the whole drive."""
         if condition == WHOLE:
-            return Scores(self.metrics, self.difference, self.ratio)
+            return Scores(self.metrics, self.difference, self.ratio, self.means)
         return self.conditions.get(condition, Scores({}))
 
 
@@ -159,13 +161,11 @@ class Comparison:
         return [self._standing(name, method) for name in names for method in self.methods]
 
     def _standing(self, condition: str, method: str) -> Standing:
-        own, first = (
-            [row.under(condition) for row in self.of(name)] for name in (method, self.against)
-        )
+        own = [row.under(condition) for row in self.of(method)]
         averages = {
             name: average([scores.metrics.get(name) for scores in own]) for name in AVERAGED
         }
-        ratio = None if method == self.against else ratio_over_drives(own, first)
+        ratio = None if method == self.against else ratio_over_drives(own)
         return Standing(condition, method, averages, ratio)
 
     def _overall(self, method: str) -> Overall:
@@ -252,13 +252,14 @@ def _scores(errors: Errors, first: Errors | None, truth: Trajectory, mask: Mask)
     return Scores(score_errors(own), **_against(own, other))
 
 
-def _against(errors: Errors, first: Errors | None) -> dict[str, Metric | None]:
+def _against(errors: Errors, first: Errors | None) -> dict[str, Any]:
     """Difference and ratio to the errors of the first method."""
     if first is None:
         return {}
     try:
         return {
             "difference": paired_difference(errors, first), "ratio": paired_ratio(errors, first),
+            "means": paired_means(errors, first),
         }  # fmt: skip
     except InputError as err:
         return {"difference": Metric(None, "m", why=str(err)),

@@ -24,11 +24,15 @@ WHOLE = "whole drive"
 
 @dataclass(frozen=True)
 class Scores:
-    """Metrics by name, and how they compare to the first method; see `Row`."""
+    """Metrics by name, and how they compare to the first method; see `Row`.
+
+    means  mean horizontal errors, this method's and the first one's, at the instants of both
+    """
 
     metrics: Mapping[str, Metric]
     difference: Metric | None = None
     ratio: Metric | None = None
+    means: tuple[float, float] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -65,8 +69,8 @@ class Standing:
     """One method under one condition, over several drives.
 
     averages  of the metrics `AVERAGED`, over the drives that have a value
-    ratio     sum of the mean horizontal errors over that of the first method, on the drives that
-              both were scored on; None for the first method
+    ratio     sum of the mean horizontal errors over that of the first method, at the instants that
+              both were scored at; None for the first method
     """
 
     condition: str
@@ -106,19 +110,12 @@ def average(metrics: Sequence[Metric | None], *, signed: bool = False) -> Metric
     return Metric(mean, unit, better, len(x), low, mean + half, target)
 
 
-def ratio_over_drives(own: Sequence[Scores], first: Sequence[Scores]) -> Metric:
-    """Of the mean errors, summed over drives; drives are drawn anew for the interval.
-
-    One drive keeps the ratio and the interval of its own.
-    """
-    pairs = [
-        (a.value, b.value)
-        for one, other in zip(own, first, strict=True)
-        if (a := one.metrics.get(MEAN)) is not None and (b := other.metrics.get(MEAN)) is not None
-        if a.value is not None and b.value is not None
-    ]
+def ratio_over_drives(scores: Sequence[Scores]) -> Metric:
+    """Of the mean errors at common instants, summed over drives; these are drawn anew for the
+    interval. One drive keeps the ratio and the interval of its own."""
+    pairs = [one.means for one in scores if one.means is not None]
     if len(pairs) < 2:
-        alone = next((one.ratio for one in own if one.ratio is not None), None)
+        alone = next((one.ratio for one in scores if one.ratio is not None), None)
         return alone or Metric(None, "1", why="no drive has a value for both")
     x: Array = np.array(pairs, float)
     if not x[:, 1].any():

@@ -201,7 +201,7 @@ def test_the_path_of_the_start_has_the_jacobian_that_differences_give():
         np.testing.assert_allclose(J[:, :, i], by_hand, atol=1e-6)
 
 
-def test_velocities_give_a_heading_only_above_walking_pace():
+def test_velocities_give_a_heading_above_walking_pace_and_it_is_kept_below():
     t_ns = np.arange(3) * 100_000_000
     table = EnuVelocities(t_ns, t_ns, [[0, 2, 0], [0.5, 0, 0], [-3, 0, 0]], np.full(3, 0.1))
     none = np.zeros(0)

@@ -71,7 +71,8 @@ def test_the_fix_comes_first_and_then_the_candidate_nearest_to_the_prediction():
     data = synchronised([[0, 0], [1, 0]], [(1, 1.2, 0.1, 40.0, True), (1, 2.5, 0.0, 40.0, True)])
     steps = Filter(data)
     last = steps.run()[-1]
-    by_hand = Belief(np.zeros(2), gps_cov_m2()).predicted(np.array([10.0, 0]), 0.1, 0.1)
+    by_hand = Belief(np.zeros(2), gps_cov_m2())
+    by_hand = by_hand.predicted(np.array([10.0, 0]), 0.1, LEE2021.process_sigma_m)
     by_hand, _ = by_hand.updated(np.array([1.0, 0]), gps_cov_m2())
     by_hand, nis = by_hand.updated(np.array([1.2, 0.1]), node_cov_m2(40.0))
     np.testing.assert_allclose(last.x_m, by_hand.x_m, atol=1e-12)
