@@ -16,6 +16,10 @@ from fgloc.timing import Instants
 Array = NDArray[np.float64]
 
 
+SYMMETRIC = 1e-6
+"""Triangles of a covariance may differ by this share of its largest variance, as rounding does."""
+
+
 def freeze(array: Any, dtype: type = np.float64) -> NDArray[Any]:
     """A read-only array; what somebody else could still change is copied."""
     result: NDArray[Any] = np.asarray(array, dtype)
@@ -91,6 +95,22 @@ class Table:
         )  # fmt: skip
 
 
+def check_symmetric(kind: str, cov_m2: Array) -> None:
+    """Raise DriveError at the first of finite covariances (N, m, m) that is not symmetric: solvers
+    read one triangle alone."""
+    told = np.asarray(np.isfinite(cov_m2).all((1, 2)))
+    cov = np.where(told[:, None, None], cov_m2, 0.0)
+    size = np.diagonal(cov, axis1=1, axis2=2).max(-1, initial=0.0)
+    apart = np.abs(cov - cov.swapaxes(1, 2)).max((1, 2), initial=0.0)
+    skew = np.flatnonzero(apart > SYMMETRIC * size)
+    if len(skew):
+        row = int(skew[0])
+        raise DriveError(
+            f"{kind} row {row}: the covariance {cov[row].tolist()} m^2 is not symmetric; write "
+            "each covariance of two axes twice, at both places"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class GnssFixes(Table):
     """Antenna positions: ENU m (N, 3), covariance ENU m^2 (N, 3, 3), velocity ENU m/s (N, 3).
@@ -104,6 +124,10 @@ class GnssFixes(Table):
 
     KIND = "gnss"
     SHAPES: ClassVar = {"p_world_ant_m": (3,), "cov_world_m2": (3, 3), "v_world_mps": (3,)}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_symmetric(self.KIND, self.cov_world_m2)
 
 
 @dataclass(frozen=True, eq=False)
