@@ -21,8 +21,17 @@ METHODS = {
     "graph-batch": "batch", "graph-incremental": "incremental", "graph-lag": "fixed-lag",
 }  # fmt: skip
 """The mode behind each method's name."""
+VELOCITY = ":velocity"
+"""After a method's name: the same without the IMU, by the drive's velocities."""
 STILL_LATE_S, MAX_SHIFTS = 1e-3, 3
 """Stamps are shifted by their estimated lateness until less than this is left of it."""
+
+
+def methods() -> dict[str, dict[str, Any]]:
+    """The graph's methods by name, each with the settings that make it."""
+    plain: dict[str, dict[str, Any]] = {name: {"mode": mode} for name, mode in METHODS.items()}
+    without_imu = {"motion": {"kind": "constant-velocity"}}
+    return plain | {name + VELOCITY: given | without_imu for name, given in plain.items()}
 
 
 def smooth(drive: Drive, config: SmoothConfig) -> Result:
