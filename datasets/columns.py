@@ -14,7 +14,10 @@ from numpy.typing import NDArray
 from fgloc.errors import DriveError, nearest
 
 Columns = dict[str, NDArray[Any]]
-"""Columns of one table by name, all of one length: int64 where the name ends in `_ns`."""
+"""Columns of one table by name, all of one length: int64 where `is_integer` says so."""
+
+WHOLE = frozenset({"node", "object_id", "kind"})
+"""Columns of whole numbers that are no instants."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +61,8 @@ class Layout:
 
 
 def is_integer(name: str) -> bool:
-    """Whether a column holds int64 nanoseconds rather than floats."""
-    return name.endswith("_ns")
+    """Whether a column holds int64, of nanoseconds or of numbers that name, rather than floats."""
+    return name.endswith("_ns") or name in WHOLE
 
 
 def place(path: Path, row: int) -> str:

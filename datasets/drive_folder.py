@@ -11,11 +11,14 @@ from pathlib import Path
 from fgloc.datasets.columns import Columns, Layout
 from fgloc.datasets.drive_tables import (
     LAYOUTS,
+    detections_from_columns,
     gnss_from_columns,
     imu_from_columns,
+    odometry_from_columns,
     origin_from_first_fix,
     steering_from_columns,
     table_to_columns,
+    velocity_from_columns,
     wheel_from_columns,
 )
 from fgloc.datasets.drive_toml import (
@@ -24,6 +27,7 @@ from fgloc.datasets.drive_toml import (
     format_toml,
     read_toml,
     to_about,
+    to_infrastructure,
     to_origin,
     to_rig,
 )
@@ -32,6 +36,7 @@ from fgloc.datasets.trajectory_columns import TRUTH, trajectory_from_columns, tr
 from fgloc.drive import Drive
 from fgloc.errors import DriveError, InputError, nearest
 from fgloc.frames import Origin
+from fgloc.infrastructure import Infrastructure
 from fgloc.measurements import Table
 from fgloc.trajectory import Trajectory
 
@@ -56,8 +61,11 @@ def read_drive(folder: str | Path) -> Drive:
     files = _table_files(folder)
     columns = {stem: read_table(path, _layout(stem)) for stem, path in files.items()}
     origin = _origin(folder, about, files, columns)
+    infrastructure = to_infrastructure(folder / FILE_NAME, about)
     tables = {
-        stem: _table(stem, files[stem], columns[stem], origin) for stem in LAYOUTS if stem in files
+        stem: _table(stem, files[stem], columns[stem], origin, infrastructure)
+        for stem in LAYOUTS
+        if stem in files
     }
     return Drive(
         about.name,
@@ -66,6 +74,7 @@ def read_drive(folder: str | Path) -> Drive:
         tables,
         _truth(folder, about, files, columns, origin),
         to_about(about.about),
+        infrastructure,
     )
 
 
@@ -93,17 +102,18 @@ def salvage_drive(folder: str | Path) -> tuple[Drive | None, dict[str, InputErro
     with _kept(faults, "drive"):
         origin = _origin(folder, about, files, columns)
         rig = to_rig(folder / FILE_NAME, about.rig)
+        infrastructure = to_infrastructure(folder / FILE_NAME, about)
     if "drive" in faults:
         return None, faults
     tables: dict[str, Table] = {}
     for stem in [stem for stem in LAYOUTS if stem in columns]:
         with _kept(faults, stem):
-            tables[stem] = _table(stem, files[stem], columns[stem], origin)
+            tables[stem] = _table(stem, files[stem], columns[stem], origin, infrastructure)
     truth = None
     if "truth" not in faults:
         with _kept(faults, "truth"):
             truth = _truth(folder, about, files, columns, origin)
-    drive = Drive(about.name, origin, rig, tables, truth, to_about(about.about))
+    drive = Drive(about.name, origin, rig, tables, truth, to_about(about.about), infrastructure)
     return (drive if tables else None), faults
 
 
@@ -218,11 +228,16 @@ def _origin(
     return origin_from_first_fix(files["gnss"], columns["gnss"])
 
 
-def _table(stem: str, path: Path, columns: Columns, origin: Origin) -> Table:
+def _table(
+    stem: str, path: Path, columns: Columns, origin: Origin, infrastructure: Infrastructure
+) -> Table:
     if stem == "gnss":
         return gnss_from_columns(path, columns, origin)
+    if stem == "detections":
+        return detections_from_columns(path, columns, infrastructure)
     readers = {
         "imu": imu_from_columns, "wheel": wheel_from_columns, "steering": steering_from_columns,
+        "odometry": odometry_from_columns, "velocity": velocity_from_columns,
     }  # fmt: skip
     return readers[stem](path, columns)
 

@@ -20,13 +20,28 @@ from fgloc.datasets.trajectory_columns import (
 )
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.measurements import Array, GnssFixes, ImuSamples, SteeringAngles, Table, WheelSpeeds
+from fgloc.infrastructure import Infrastructure
+from fgloc.measurements import (
+    Array,
+    EnuVelocities,
+    GnssFixes,
+    ImuSamples,
+    NodeDetections,
+    Odometry,
+    SteeringAngles,
+    Table,
+    WheelSpeeds,
+)
 from fgloc.timing import Instants
 
 COVARIANCE = ("cov_ee_m2", "cov_en_m2", "cov_eu_m2", "cov_nn_m2", "cov_nu_m2", "cov_uu_m2")
 SIGMA = ("sigma_east_m", "sigma_north_m", "sigma_up_m")
 ACCEL = ("accel_x_mps2", "accel_y_mps2", "accel_z_mps2")
 GYRO = ("gyro_x_radps", "gyro_y_radps", "gyro_z_radps")
+RATES = ("speed_mps", "yaw_rate_radps", "sigma_speed_mps", "sigma_yaw_rate_radps")
+NAMES = ("node", "object_id", "kind")
+SEEN, SEEN_WORLD = ("x_m", "y_m"), ("east_m", "north_m")
+SEEN_COVARIANCE = ("cov_xx_m2", "cov_xy_m2", "cov_yy_m2")
 
 _TIME = (Group.of("t_ns"), Group.of("received_ns", required=False))
 LAYOUTS = {
@@ -41,6 +56,16 @@ LAYOUTS = {
     "imu": Layout((*_TIME, Group.of(*ACCEL), Group.of(*GYRO))),
     "wheel": Layout((*_TIME, Group.of("speed_mps"), Group.of("sigma_mps"))),
     "steering": Layout((*_TIME, Group.of("angle_rad"))),
+    "odometry": Layout((*_TIME, Group.of(*RATES))),
+    "velocity": Layout((*_TIME, Group.of(*VELOCITY), Group.of("sigma_mps"))),
+    "detections": Layout(
+        (
+            *_TIME,
+            Group.of(*NAMES),
+            Group((SEEN, SEEN_WORLD)),
+            Group.of(*SEEN_COVARIANCE, required=False, may_be_empty=True),
+        )
+    ),
 }
 """Columns of each kind of table. `received_ns` left out means: received when it was true."""
 
@@ -60,7 +85,21 @@ def table_to_columns(table: Table) -> Columns:
         return columns | {"speed_mps": table.speed_mps, "sigma_mps": table.sigma_mps}
     if isinstance(table, SteeringAngles):
         return columns | {"angle_rad": table.angle_rad}
+    if isinstance(table, Odometry):
+        return columns | {name: getattr(table, name) for name in RATES}
+    if isinstance(table, EnuVelocities):
+        return columns | unstack(VELOCITY, table.v_world_mps) | {"sigma_mps": table.sigma_mps}
+    if isinstance(table, NodeDetections):
+        return columns | _detection_columns(table)
     raise DriveError(f"a drive folder has no file for a table of kind {table.KIND!r}")
+
+
+def _detection_columns(seen: NodeDetections) -> Columns:
+    columns: Columns = {name: getattr(seen, name) for name in NAMES}
+    columns |= unstack(SEEN, seen.p_node_m)
+    if not np.isnan(seen.cov_node_m2).all():
+        columns |= unstack(SEEN_COVARIANCE, seen.cov_node_m2[:, *np.triu_indices(2)])
+    return columns
 
 
 def _gnss_columns(fixes: GnssFixes) -> Columns:
@@ -115,6 +154,72 @@ def steering_from_columns(path: Path, columns: Columns) -> SteeringAngles:
     """Steering wheel angles of a table read from `path`; DriveError where time goes back."""
     check_increasing(path, columns["t_ns"], duplicates=True)
     return SteeringAngles(*_times(columns), columns["angle_rad"])
+
+
+def odometry_from_columns(path: Path, columns: Columns) -> Odometry:
+    """Odometry of a table read from `path`; DriveError where time goes back or a sigma <= 0."""
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    _check_positive(path, columns, RATES[2:])
+    return Odometry(*_times(columns), *(columns[name] for name in RATES))
+
+
+def velocity_from_columns(path: Path, columns: Columns) -> EnuVelocities:
+    """Velocities of a table read from `path`; DriveError where time goes back or sigma <= 0."""
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    _check_positive(path, columns, ("sigma_mps",))
+    return EnuVelocities(*_times(columns), stack(columns, VELOCITY), columns["sigma_mps"])
+
+
+def detections_from_columns(
+    path: Path, columns: Columns, infrastructure: Infrastructure
+) -> NodeDetections:
+    """Detections of a table read from `path`, in their node's axes.
+
+    Raises DriveError naming the first row of a node that the drive does not have, or with a
+    covariance that cannot be one.
+    """
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    nodes = infrastructure.nodes
+    unknown = (columns["node"] < 0) | (columns["node"] >= len(nodes))
+    if unknown.any():
+        row = int(np.argmax(unknown))
+        raise DriveError(
+            f"{place(path, row)}: node = {columns['node'][row]}, but drive.toml has {len(nodes)} "
+            "[[node]], counted from 0; add it there or remove the row"
+        )
+    node, object_id, kind = (columns[name] for name in NAMES)
+    seen, cov = _seen(columns, infrastructure), _seen_covariance(path, columns)
+    return NodeDetections(*_times(columns), node, object_id, kind, seen, cov)
+
+
+def _seen(columns: Columns, infrastructure: Infrastructure) -> Array:
+    """(N, 2) in the node's axes, from these or from East and North."""
+    if SEEN[0] in columns:
+        return stack(columns, SEEN)
+    p_m = stack(columns, SEEN_WORLD)
+    for i, node in enumerate(infrastructure.nodes):
+        rows = columns["node"] == i
+        p_m[rows] = node.from_world(p_m[rows])
+    return p_m
+
+
+def _seen_covariance(path: Path, columns: Columns) -> Array:
+    """(N, 2, 2), NaN where the node states none."""
+    n = len(columns["t_ns"])
+    if SEEN_COVARIANCE[0] not in columns:
+        return np.full((n, 2, 2), np.nan)
+    told = stack(columns, SEEN_COVARIANCE)
+    cov = symmetric(told, 2)
+    stated = ~np.isnan(told).all(-1)
+    fine = (told[:, 0] > 0) & (told[:, 0] * told[:, 2] > told[:, 1] ** 2)
+    bad = stated & ~fine
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise DriveError(
+            f"{place(path, row)}: the covariance {_as_text(cov[row])} m^2 is not positive definite;"
+            " give what the node states, or leave all of it empty"
+        )
+    return cov
 
 
 def check_covariances(cov_m2: Array, where: Callable[[int], str]) -> None:

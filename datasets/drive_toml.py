@@ -10,9 +10,10 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field
 
 from fgloc.config import validate
-from fgloc.drive import About, Drive, ImuNoise, Rig
+from fgloc.drive import About, Drive, GnssBias, ImuNoise, Rig
 from fgloc.errors import ConfigError, DriveError, InputError
 from fgloc.frames import HEIGHT_LIMITS_M, LATITUDE_LIMITS_DEG, LONGITUDE_LIMITS_DEG, Origin
+from fgloc.infrastructure import Infrastructure, Node
 
 FILE_NAME = "drive.toml"
 
@@ -56,12 +57,34 @@ class ImuNoisePart(_Part):
     gyro_bias_sigma_radps: float = Field(default=ImuNoise.gyro_bias_sigma_radps, gt=0)
 
 
+class GnssBiasPart(_Part):
+    """[rig.gnss_bias]: the fields of `GnssBias`."""
+
+    sigma_m: float = Field(gt=0)
+    tau_s: float = Field(gt=0)
+
+
 class RigPart(_Part):
     """[rig]: where the sensors sit."""
 
     p_veh_ant_m: Vector3 = [0.0, 0.0, 0.0]
+    p_veh_box_m: Vector3 = [0.0, 0.0, 0.0]
     T_veh_imu: Matrix4 = np.eye(4).tolist()
     imu_noise: ImuNoisePart | None = None
+    gnss_bias: GnssBiasPart | None = None
+
+
+class NodePart(_Part):
+    """[[node]]: the fields of `Node`."""
+
+    name: str = Field(min_length=1)
+    p_world_m: Vector3
+    yaw_rad: float = Node.yaw_rad
+    sigma_position_m: float = Field(default=Node.sigma_position_m, ge=0)
+    sigma_yaw_rad: float = Field(default=Node.sigma_yaw_rad, ge=0)
+    range_m: float = Field(default=Node.range_m, ge=0)
+    bias_sigma_m: float = Field(default=Node.bias_sigma_m, ge=0)
+    bias_tau_s: float = Field(default=Node.bias_tau_s, gt=0)
 
 
 class TruthPart(_Part):
@@ -78,6 +101,7 @@ class DriveToml(_Part):
     about: AboutPart = AboutPart()
     origin: OriginPart | None = None
     rig: RigPart = RigPart()
+    node: list[NodePart] = []
     truth: TruthPart | None = None
 
 
@@ -101,8 +125,9 @@ def to_rig(path: Path, part: RigPart) -> Rig:
     if not np.array_equal(T_veh_imu[3], [0, 0, 0, 1]):
         raise DriveError(f"{path}: the last row of rig.T_veh_imu must be [0, 0, 0, 1]")
     noise = ImuNoise(**part.imu_noise.model_dump()) if part.imu_noise else None
+    bias = GnssBias(**part.gnss_bias.model_dump()) if part.gnss_bias else None
     try:
-        return Rig(np.array(part.p_veh_ant_m), T_veh_imu, noise)
+        return Rig(np.array(part.p_veh_ant_m), T_veh_imu, noise, np.array(part.p_veh_box_m), bias)
     except InputError as err:
         raise DriveError(f"{path}: {err}") from err
 
@@ -110,6 +135,14 @@ def to_rig(path: Path, part: RigPart) -> Rig:
 def to_origin(part: OriginPart) -> Origin:
     """The origin of `[origin]`."""
     return Origin(**part.model_dump())
+
+
+def to_infrastructure(path: Path, file: DriveToml) -> Infrastructure:
+    """What stands beside the road; DriveError where two have one name."""
+    try:
+        return Infrastructure(tuple(Node(**part.model_dump()) for part in file.node))
+    except InputError as err:
+        raise DriveError(f"{path}: {err}") from err
 
 
 def to_about(part: AboutPart) -> About:
@@ -120,8 +153,12 @@ def to_about(part: AboutPart) -> About:
 def format_toml(drive: Drive) -> str:
     """The text of the `drive.toml` that describes a drive."""
     rig = {"p_veh_ant_m": drive.rig.p_veh_ant_m.tolist(), "T_veh_imu": drive.rig.T_veh_imu.tolist()}
+    if drive.rig.p_veh_box_m.any():
+        rig["p_veh_box_m"] = drive.rig.p_veh_box_m.tolist()
     if drive.rig.imu_noise is not None:
         rig["imu_noise"] = _floats(dataclasses.asdict(drive.rig.imu_noise))
+    if drive.rig.gnss_bias is not None:
+        rig["gnss_bias"] = _floats(dataclasses.asdict(drive.rig.gnss_bias))
     content = {
         "format": 1,
         "name": drive.name,
@@ -129,9 +166,16 @@ def format_toml(drive: Drive) -> str:
         "origin": _floats(dataclasses.asdict(drive.origin)),
         "rig": rig,
     }
+    if drive.infrastructure.nodes:
+        content["node"] = [_node(node) for node in drive.infrastructure.nodes]
     if drive.truth is not None:
         content["truth"] = {"p_veh_point_m": drive.truth.p_veh_point_m.tolist()}
     return tomli_w.dumps(content)
+
+
+def _node(node: Node) -> dict[str, object]:
+    numbers = {k: v for k, v in vars(node).items() if k not in ("name", "p_world_m")}
+    return {"name": node.name, "p_world_m": node.p_world_m.tolist(), **_floats(numbers)}
 
 
 def _floats(values: dict[str, object]) -> dict[str, object]:

@@ -87,6 +87,9 @@ _IMPORTERS = {
 }
 """Module and function of each format."""
 
+_SCENARIOS = {"city": "city.make_city"}
+"""Module and function of each scenario."""
+
 _WITHOUT_FOLDER = {"kitti"}
 """Real drives that are imported each time they are opened."""
 
@@ -161,14 +164,16 @@ def import_recording(format: str, source: str | Path | None = None, /, **options
 
 def _scenario(name: str) -> Callable[..., Drive]:
     """The function that makes a scenario, imported when it is wanted."""
-    from fgloc.datasets.city import make_city
-
-    return {"city": make_city}[name]
+    return _imported(_SCENARIOS[name])
 
 
 def _importer(name: str) -> Callable[..., Drive]:
     """The function that imports a format, imported when it is wanted."""
-    module, _, function = _IMPORTERS[name].partition(".")
+    return _imported(_IMPORTERS[name])
+
+
+def _imported(place: str) -> Callable[..., Drive]:
+    module, _, function = place.partition(".")
     found: Callable[..., Drive] = getattr(
         importlib.import_module(f"fgloc.datasets.{module}"), function
     )

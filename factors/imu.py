@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fgloc.drive import ImuNoise
+from fgloc.drive import Noise
 from fgloc.frames import exp_so3, log_so3, right_jacobian_inverse_so3, right_jacobian_so3, skew
 from fgloc.measurements import Array
 
@@ -81,14 +81,15 @@ class ImuResidual(NamedTuple):
 
 
 def parameters(
-    accel_noise: float, gyro_noise: float, gravity_mps2: float
+    accel_noise: ArrayLike, gyro_noise: ArrayLike, gravity_mps2: float
 ) -> gtsam.PreintegrationParams:
-    """GTSAM's parameters for densities in m/s^2 and rad/s per sqrt(Hz), gravity along -z."""
+    """GTSAM's parameters for densities in m/s^2 and rad/s per sqrt(Hz), one for all axes or (3,),
+    gravity along -z."""
     import gtsam
 
     params = gtsam.PreintegrationParams.MakeSharedU(gravity_mps2)
-    params.setAccelerometerCovariance(np.eye(3) * accel_noise**2)
-    params.setGyroscopeCovariance(np.eye(3) * gyro_noise**2)
+    params.setAccelerometerCovariance(np.eye(3) * np.square(accel_noise))
+    params.setGyroscopeCovariance(np.eye(3) * np.square(gyro_noise))
     params.setIntegrationCovariance(np.eye(3) * INTEGRATION_NOISE_M_PER_SQRT_S**2)
     params.setImuFactorErrorMode(gtsam.ImuFactorErrorMode.ComponentWise)
     return params
@@ -144,12 +145,10 @@ def factor(
     return gtsam.ImuFactor(*keys, pim)
 
 
-def bias_walk_sigmas(noise: ImuNoise, dt_s: float) -> Array:
+def bias_walk_sigmas(noise: Noise, dt_s: float) -> Array:
     """Standard deviations (6,) of the biases' change over dt seconds: 3 in m/s^2, 3 in rad/s."""
-    walk = [noise.accel_bias_walk_mps3_per_sqrt_hz] * 3 + [
-        noise.gyro_bias_walk_radps2_per_sqrt_hz
-    ] * 3
-    return np.array(walk) * np.sqrt(dt_s)
+    walks = noise.accel_bias_walk_mps3_per_sqrt_hz, noise.gyro_bias_walk_radps2_per_sqrt_hz
+    return np.concatenate([np.broadcast_to(walk, 3) for walk in walks]) * np.sqrt(dt_s)
 
 
 def predict(

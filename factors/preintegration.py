@@ -36,12 +36,13 @@ def preintegrate(
     """Samples first[n]:stops[s, n] of (M, 3) m/s^2, (M, 3) rad/s and (M,) s, at zero bias.
 
     Columns have leading axes (S, N): N intervals, each up to S stops that do not go back. Noise is
-    a density in m/s^2 and rad/s per sqrt(Hz), one for all intervals or (N,).
+    a density in m/s^2 and rad/s per sqrt(Hz), one for all intervals, (N,), or (N, 3) where the
+    axes are not alike.
     """
     shape = stops.shape
     out = ImuDeltas(np.zeros((*shape, 9)), np.zeros((*shape, 9, 6)), np.zeros((*shape, 9, 9)),
                     np.zeros(shape), np.zeros((*shape, 6)))  # fmt: skip
-    variances = [np.broadcast_to(np.square(noise), shape[1]) for noise in (accel_noise, gyro_noise)]
+    variances = [_variances(noise, shape[1]) for noise in (accel_noise, gyro_noise)]
     count = stops - first
     for rows in _portions(count[-1]):
         sample = first[rows] + np.arange(count[-1, rows].max(initial=0))[:, None]
@@ -51,10 +52,16 @@ def preintegrate(
         )
         for s in range(shape[0]):
             upto = count[s, rows]
-            delta, by_bias, cov = path.sums(upto, *(v[rows] for v in variances))
+            delta, by_bias, cov = path.sums(upto, *(v[:, rows] for v in variances))
             out.delta[s, rows], out.by_bias[s, rows], out.cov[s, rows] = delta, by_bias, cov
             out.dt_s[s, rows] = path.dt_until(upto).sum(0)
     return out
+
+
+def _variances(noise: ArrayLike, n: int) -> Array:
+    """Squares of densities: (1, n) where all axes are alike, (3, n) where they are not."""
+    square = np.square(np.asarray(noise, float))
+    return square.T if square.ndim == 2 else np.broadcast_to(square, (1, n))
 
 
 def join(first: ImuDeltas, second: ImuDeltas) -> ImuDeltas:
@@ -139,7 +146,7 @@ class _Path:
         by_bias[:, 3:6, :3] = -(R * (dt * reach)).sum(2).transpose(2, 0, 1)
         by_bias[:, 6:, :3] = -(R * dt).sum(2).transpose(2, 0, 1)
         by_bias[:, :, 3:] = -(M * dt).sum(2).transpose(2, 0, 1)
-        cov = _covariance(M, dt, reach, accel_var, gyro_var)
+        cov = _covariance(M, R, dt, reach, accel_var, gyro_var)
         return delta, by_bias, _at_the_end(_so3(theta), cov)
 
 
@@ -207,17 +214,32 @@ def _curvature(square: Array) -> tuple[Array, Array]:
     return c, slope
 
 
-def _covariance(M: Array, dt: Array, reach: Array, accel_var: Array, gyro_var: Array) -> Array:
-    """(n, 9, 9): the gyro's noise through M; the accelerometer's, alike on all axes, as sums."""
-    flat = (M * np.sqrt(dt * gyro_var)).transpose(3, 0, 1, 2).reshape(dt.shape[1], 9, -1)
-    cov = flat @ flat.swapaxes(-1, -2)
+def _covariance(
+    M: Array, R: Array, dt: Array, reach: Array, accel_var: Array, gyro_var: Array
+) -> Array:
+    """(n, 9, 9): the gyro's noise through M; the accelerometer's as sums where its axes are alike,
+    and through R where they are not."""
+    cov = _spread(M * np.sqrt(dt * gyro_var[:, None]))
     along = np.arange(3)
-    speed = accel_var * dt.sum(0)
-    both = accel_var * (dt * reach).sum(0)
-    place = accel_var * (dt * reach**2).sum(0) + INTEGRATION_NOISE_M_PER_SQRT_S**2 * dt.sum(0)
-    for i, j, value in ((3, 3, place), (3, 6, both), (6, 3, both), (6, 6, speed)):
-        cov[:, i + along, j + along] += value[:, None]
+    place = INTEGRATION_NOISE_M_PER_SQRT_S**2 * dt.sum(0)
+    if len(accel_var) == 1:
+        speed = accel_var[0] * dt.sum(0)
+        both = accel_var[0] * (dt * reach).sum(0)
+        place = accel_var[0] * (dt * reach**2).sum(0) + place
+        for i, j, value in ((3, 6, both), (6, 3, both), (6, 6, speed)):
+            cov[:, i + along, j + along] += value[:, None]
+    else:
+        shaken = R * np.sqrt(dt * accel_var[:, None])
+        cov[:, 3:, 3:] += _spread(np.concatenate([shaken * reach, shaken]))
+    cov[:, 3 + along, 3 + along] += place[:, None]
     return cov
+
+
+def _spread(effects: Array) -> Array:
+    """(n, m, m): the sum over samples of E E' for effects (m, 3, L, n) of unit noise."""
+    m, n = len(effects), effects.shape[-1]
+    flat = effects.transpose(3, 0, 1, 2).reshape(n, m, -1)
+    return np.asarray(flat @ flat.swapaxes(-1, -2))
 
 
 def _at_the_end(end: tuple[Array, ...], cov: Array) -> Array:

@@ -16,12 +16,21 @@ if TYPE_CHECKING:
     from fgloc.api import baseline, compare, doctor, load, make, score, smooth, tune
     from fgloc.config import SmoothConfig
     from fgloc.diagnosis.finding import Finding
-    from fgloc.drive import About, Drive, ImuNoise, Rig
+    from fgloc.drive import About, Drive, GnssBias, ImuNoise, Rig
     from fgloc.errors import ConfigError, DriveError, FglocError, InputError, SolverError
     from fgloc.evaluation.comparison import Comparison, Method
     from fgloc.evaluation.metric import Metric
     from fgloc.frames import Origin
-    from fgloc.measurements import GnssFixes, ImuSamples, SteeringAngles, WheelSpeeds
+    from fgloc.infrastructure import Infrastructure, Node
+    from fgloc.measurements import (
+        EnuVelocities,
+        GnssFixes,
+        ImuSamples,
+        NodeDetections,
+        Odometry,
+        SteeringAngles,
+        WheelSpeeds,
+    )
     from fgloc.result import Event, Result
     from fgloc.trajectory import Trajectory
     from fgloc.tuning.result import Tuning
@@ -37,7 +46,9 @@ _HOME = {
     "Rig": "drive", "ConfigError": "errors", "DriveError": "errors", "FglocError": "errors",
     "InputError": "errors", "SolverError": "errors", "Origin": "frames",
     "GnssFixes": "measurements", "ImuSamples": "measurements", "SteeringAngles": "measurements",
-    "WheelSpeeds": "measurements", "Event": "result", "Result": "result",
+    "WheelSpeeds": "measurements", "EnuVelocities": "measurements", "Odometry": "measurements",
+    "NodeDetections": "measurements", "Infrastructure": "infrastructure", "Node": "infrastructure",
+    "GnssBias": "drive", "Event": "result", "Result": "result",
     "Trajectory": "trajectory", "Tuning": "tuning.result", "SourceVerdicts": "verdicts",
     "Verdict": "verdicts",
 }  # fmt: skip
@@ -49,15 +60,21 @@ __all__ = [
     "ConfigError",
     "Drive",
     "DriveError",
+    "EnuVelocities",
     "Event",
     "FglocError",
     "Finding",
+    "GnssBias",
     "GnssFixes",
     "ImuNoise",
     "ImuSamples",
+    "Infrastructure",
     "InputError",
     "Method",
     "Metric",
+    "Node",
+    "NodeDetections",
+    "Odometry",
     "Origin",
     "Result",
     "Rig",

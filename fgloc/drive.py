@@ -9,7 +9,15 @@ import numpy as np
 
 from fgloc.errors import DriveError
 from fgloc.frames import Origin, is_rotation
-from fgloc.measurements import Array, GnssFixes, ImuSamples, Table, freeze
+from fgloc.infrastructure import Infrastructure
+from fgloc.measurements import (
+    Array,
+    GnssFixes,
+    ImuSamples,
+    NodeDetections,
+    Table,
+    freeze,
+)
 from fgloc.trajectory import Trajectory
 
 T = TypeVar("T", bound=Table)
@@ -35,22 +43,55 @@ class ImuNoise:
 
 
 @dataclass(frozen=True, eq=False)
+class AxisNoise:
+    """The numbers of `ImuNoise` for axes that are not alike, (3,) each, x forward and z up."""
+
+    accel_noise_mps2_per_sqrt_hz: Array
+    gyro_noise_radps_per_sqrt_hz: Array
+    accel_bias_walk_mps3_per_sqrt_hz: Array
+    gyro_bias_walk_radps2_per_sqrt_hz: Array
+    accel_bias_sigma_mps2: Array
+    gyro_bias_sigma_radps: Array
+
+
+Noise = ImuNoise | AxisNoise
+"""Of an IMU, or of what stands for one."""
+
+
+@dataclass(frozen=True)
+class GnssBias:
+    """A slowly varying error of the fixes: first-order Gauss-Markov, each axis of ENU alike.
+
+    sigma_m  its standard deviation
+    tau_s    over which it forgets itself
+    """
+
+    sigma_m: float
+    tau_s: float
+
+
+@dataclass(frozen=True, eq=False)
 class Rig:
     """Where the sensors sit on the vehicle, and how noisy they are.
 
     Raises DriveError where a shape does not fit or the IMU's axes are not a rotation.
 
     p_veh_ant_m  (3,) GNSS antenna in the vehicle frame, m
+    p_veh_box_m  (3,) centre of the box that nodes see around the vehicle, in its frame, m
     T_veh_imu    (4, 4) IMU axes and place in the vehicle frame, m
     imu_noise    or None where the drive has no IMU
+    gnss_bias    or None where the fixes' errors are white
     """
 
     p_veh_ant_m: Array = field(default_factory=lambda: np.zeros(3))
     T_veh_imu: Array = field(default_factory=lambda: np.eye(4))
     imu_noise: ImuNoise | None = None
+    p_veh_box_m: Array = field(default_factory=lambda: np.zeros(3))
+    gnss_bias: GnssBias | None = None
 
     def __post_init__(self) -> None:
-        for name, shape in (("p_veh_ant_m", (3,)), ("T_veh_imu", (4, 4))):
+        shapes = {"p_veh_ant_m": (3,), "p_veh_box_m": (3,), "T_veh_imu": (4, 4)}
+        for name, shape in shapes.items():
             array = freeze(getattr(self, name))
             if array.shape != shape or not np.isfinite(array).all():
                 raise DriveError(f"rig.{name}: expected finite numbers of shape {shape}")
@@ -79,9 +120,24 @@ class Drive:
     tables: Mapping[str, Table]
     truth: Trajectory | None = None
     about: About = About()
+    infrastructure: Infrastructure = field(default_factory=Infrastructure)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tables", MappingProxyType(dict(self.tables)))
+        for table in self.tables.values():
+            if isinstance(table, NodeDetections):
+                self._check_nodes(table)
+
+    def _check_nodes(self, table: NodeDetections) -> None:
+        """Every detection is of a node that the infrastructure has."""
+        have = len(self.infrastructure.nodes)
+        unknown = (table.node < 0) | (table.node >= have)
+        if unknown.any():
+            row = int(np.argmax(unknown))
+            raise DriveError(
+                f"drive {self.name!r}: {table.KIND} row {row}: node = {table.node[row]}, but the "
+                f"drive has {have} nodes, counted from 0; add it as [[node]] or remove the row"
+            )
 
     @property
     def gnss(self) -> GnssFixes:

@@ -52,6 +52,7 @@ class Table:
 
     KIND: ClassVar[str]
     SHAPES: ClassVar[dict[str, tuple[int, ...]]]
+    WHOLE: ClassVar[frozenset[str]] = frozenset()  # columns of whole numbers
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -59,7 +60,7 @@ class Table:
             if field.name in ("t_ns", "received_ns"):
                 column = freeze_ns(f"{self.KIND}.{field.name}", column, DriveError)
             else:
-                column = freeze(column)
+                column = freeze(column, np.int64 if field.name in self.WHOLE else np.float64)
             expected = (len(self.t_ns), *self.SHAPES.get(field.name, ()))
             if column.shape != expected:
                 raise DriveError(
@@ -142,7 +143,69 @@ class SteeringAngles(Table):
     SHAPES: ClassVar = {"angle_rad": ()}
 
 
+@dataclass(frozen=True, eq=False)
+class Odometry(Table):
+    """Speed over ground along x, m/s (N,), and yaw rate about z, rad/s (N,), of the vehicle origin,
+    with their sigmas in m/s and rad/s (N,).
+    """
+
+    speed_mps: Array
+    yaw_rate_radps: Array
+    sigma_speed_mps: Array
+    sigma_yaw_rate_radps: Array
+
+    KIND = "odometry"
+    SHAPES: ClassVar = dict.fromkeys(
+        ("speed_mps", "yaw_rate_radps", "sigma_speed_mps", "sigma_yaw_rate_radps"), ()
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class EnuVelocities(Table):
+    """Velocity of the vehicle origin, ENU m/s (N, 3), with the sigma of each component (N,).
+
+    What an inertial unit with filters of its own gives out: Lee et al. (2021) predict with it.
+    """
+
+    v_world_mps: Array
+    sigma_mps: Array
+
+    KIND = "velocity"
+    SHAPES: ClassVar = {"v_world_mps": (3,), "sigma_mps": ()}
+
+
+UNKNOWN, VEHICLE, PEDESTRIAN = 0, 1, 2
+"""What a detection can be of."""
+
+
+@dataclass(frozen=True, eq=False)
+class NodeDetections(Table):
+    """Objects as roadside nodes see them: the centre of the box around each, seen from above.
+
+    node          (N,) number of the node among the drive's nodes, from 0
+    object_id     (N,) the number that the node gave the object, -1 where it gave none
+    kind          (N,) `UNKNOWN`, `VEHICLE` or `PEDESTRIAN`
+    p_node_m      (N, 2) position along the node's level axes, m from the node
+    cov_node_m2   (N, 2, 2) its covariance in these axes, NaN where the node states none
+    """
+
+    node: NDArray[np.int64]
+    object_id: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    p_node_m: Array
+    cov_node_m2: Array
+
+    KIND = "detections"
+    WHOLE = frozenset({"node", "object_id", "kind"})
+    SHAPES: ClassVar = {
+        "node": (), "object_id": (), "kind": (), "p_node_m": (2,), "cov_node_m2": (2, 2),
+    }  # fmt: skip
+
+
 TABLES: dict[str, type[Table]] = {
-    cls.KIND: cls for cls in (GnssFixes, ImuSamples, WheelSpeeds, SteeringAngles)
-}
+    cls.KIND: cls
+    for cls in (
+        GnssFixes, ImuSamples, WheelSpeeds, SteeringAngles, Odometry, EnuVelocities, NodeDetections,
+    )
+}  # fmt: skip
 """Every kind of table by its name, which is also the name of its source in a drive."""

@@ -16,7 +16,8 @@ from fgloc.verdicts import Verdict
 SURFACE = {
     "load", "make", "smooth", "baseline", "score", "compare", "doctor", "tune", "Finding",
     "Drive", "Rig", "ImuNoise", "About", "Origin", "GnssFixes", "ImuSamples", "WheelSpeeds",
-    "SteeringAngles", "Tuning",
+    "SteeringAngles", "Tuning", "EnuVelocities", "Odometry", "NodeDetections", "Node",
+    "Infrastructure", "GnssBias",
     "Trajectory", "Result", "Event", "Verdict", "SourceVerdicts", "Metric", "Method", "Comparison",
     "SmoothConfig", "FglocError", "InputError", "DriveError", "ConfigError", "SolverError",
     "__version__",

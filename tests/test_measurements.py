@@ -6,8 +6,11 @@ import pytest
 from fgloc.errors import DriveError
 from fgloc.measurements import (
     TABLES,
+    EnuVelocities,
     GnssFixes,
     ImuSamples,
+    NodeDetections,
+    Odometry,
     SteeringAngles,
     WheelSpeeds,
     freeze,
@@ -34,6 +37,7 @@ def gnss(n: int = 2) -> GnssFixes:
 def test_every_kind_of_table_is_known_by_its_name():
     assert {
         "gnss": GnssFixes, "imu": ImuSamples, "wheel": WheelSpeeds, "steering": SteeringAngles,
+        "odometry": Odometry, "velocity": EnuVelocities, "detections": NodeDetections,
     } == TABLES  # fmt: skip
 
 

@@ -3,7 +3,9 @@
 Each algorithm is a file of its own and is imported when it is used.
 """
 
+import importlib
 import time
+from collections.abc import Callable
 
 from fgloc.drive import Drive
 from fgloc.errors import InputError, nearest
@@ -11,13 +13,16 @@ from fgloc.result import Result
 
 __all__ = ["RAW", "available", "check", "run"]
 
+_METHODS: dict[str, str] = {}
+"""Module and function of each method: from a drive to its result, `summary` without wall time."""
+
 RAW = "raw:"
 """What the name of a source alone begins with: raw:gnss."""
 
 
 def available() -> list[str]:
     """The names of all methods."""
-    return [f"{RAW}gnss"]
+    return [*_METHODS, f"{RAW}gnss"]
 
 
 def check(method: str, others: tuple[str, ...] = ()) -> None:
@@ -26,7 +31,7 @@ def check(method: str, others: tuple[str, ...] = ()) -> None:
     `others` are methods that are valid where this is asked. Whether a drive has the source that
     follows `raw:` is for `run` to say.
     """
-    if method.startswith(RAW):
+    if method.startswith(RAW) or method in _METHODS:
         return
     valid = [*others, *available()]
     kind = "method" if others else "baseline"
@@ -42,11 +47,23 @@ def run(drive: Drive, method: str) -> Result:
     Raises InputError for an unknown method, DriveError where the drive lacks what it needs.
     """
     check(method)
-    from fgloc.baselines.raw import run_raw
-
+    estimate = _method(method)
     began = time.perf_counter()
-    result = run_raw(drive, method.removeprefix(RAW))
+    result = estimate(drive)
     wall_s = time.perf_counter() - began
     duration_s = float(result.summary["duration_s"])
     result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
     return result
+
+
+def _method(name: str) -> Callable[[Drive], Result]:
+    """The function behind a method's name."""
+    if name.startswith(RAW):
+        from fgloc.baselines.raw import run_raw
+
+        return lambda drive: run_raw(drive, name.removeprefix(RAW))
+    module, _, function = _METHODS[name].partition(".")
+    found: Callable[[Drive], Result] = getattr(
+        importlib.import_module(f"fgloc.baselines.{module}"), function
+    )
+    return found

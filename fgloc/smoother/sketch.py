@@ -24,14 +24,17 @@ Keys = NDArray[np.int64]
 
 
 def few_keyframes(model: Model, n: int) -> Keys | None:
-    """The first of each second among the first n keyframes, rather one with a fix, and the last.
+    """The first of each second among the first n keyframes, rather one with a position, and the
+    last.
 
-    None where that would not be few, or where constraints of the vehicle act between them.
+    None where that would not be few, or where more than positions and the IMU acts.
     """
-    if model.car.acts or model.car.stands.any():
+    car = model.car
+    if car.acts or car.stands.any() or len(car.velocities.keys):
         return None
-    second, no_fix = (model.t_s[:n] / APART_S).astype(int), model.fix_of[:n] < 0
-    order = np.lexsort((no_fix, second))
+    measured = np.isin(np.arange(n), model.key_of[model.guides])
+    second = (model.t_s[:n] / APART_S).astype(int)
+    order = np.lexsort((~measured, second))
     _, first = np.unique(second[order], return_index=True)
     keys = np.union1d(order[first], [0, n - 1])
     return keys if WORTH * len(keys) <= n else None
@@ -39,10 +42,13 @@ def few_keyframes(model: Model, n: int) -> Keys | None:
 
 def few_model(model: Model, keys: Keys) -> Model:
     """The model of a drive with some of its keyframes, which others become epochs between."""
-    epochs = model.epochs
+    epochs, positions = model.epochs, model.positions
     is_keyframe = np.zeros(len(epochs), bool)
     is_keyframe[model.epoch_of[keys]] = True
-    plan = replace(model.plan, epochs=replace(epochs, is_keyframe=is_keyframe))
+    plan = replace(
+        model.plan, epochs=replace(epochs, is_keyframe=is_keyframe),
+        positions=positions.take(np.isin(model.key_of, keys)),
+    )  # fmt: skip
     few = Model(model.drive, plan, model.config)
     few.shifted_s = model.shifted_s
     return few
@@ -71,7 +77,7 @@ def all_states(
         told = imu.predict(deltas.take(i), R[i], p[i], v[i], bias[i], gravity_mps2)
         R[i + 1], p[i + 1], v[i + 1] = told
     first = np.searchsorted(bias_of[:n], bias_of[:n])
-    return replace(few, R=R, p=p, v=v, bias=bias[first], gnss_bias=few.gnss_bias[of])
+    return replace(few, R=R, p=p, v=v, bias=bias[first], slow=few.slow[of])
 
 
 def _steps(keys: Keys, first: int = 0) -> Iterator[tuple[Keys, Keys]]:

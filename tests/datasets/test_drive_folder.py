@@ -9,10 +9,18 @@ import pytest
 from fgloc.datasets.city import make_city
 from fgloc.datasets.drive_folder import read_drive, write_drive
 from fgloc.datasets.drive_tables import check_covariances
-from fgloc.drive import Drive, Rig
+from fgloc.drive import Drive, GnssBias, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.measurements import GnssFixes, SteeringAngles, WheelSpeeds
+from fgloc.infrastructure import Infrastructure, Node
+from fgloc.measurements import (
+    EnuVelocities,
+    GnssFixes,
+    NodeDetections,
+    Odometry,
+    SteeringAngles,
+    WheelSpeeds,
+)
 
 TOML = 'format = 1\nname = "small"\n[origin]\nlat_deg = 50.0\nlon_deg = 8.0\nheight_m = 100.0\n'
 GNSS = (
@@ -50,11 +58,15 @@ def fault(folder: Path) -> str:
 
 
 def assert_same(a: Drive, b: Drive) -> None:
-    assert (a.name, a.origin, a.about, a.rig.imu_noise) == (
-        b.name, b.origin, b.about, b.rig.imu_noise,
+    assert (a.name, a.origin, a.about, a.rig.imu_noise, a.rig.gnss_bias) == (
+        b.name, b.origin, b.about, b.rig.imu_noise, b.rig.gnss_bias,
     )  # fmt: skip
     assert a.rig.p_veh_ant_m.tobytes() == b.rig.p_veh_ant_m.tobytes()
     assert a.rig.T_veh_imu.tobytes() == b.rig.T_veh_imu.tobytes()
+    assert a.rig.p_veh_box_m.tobytes() == b.rig.p_veh_box_m.tobytes()
+    for one, other in zip(a.infrastructure.nodes, b.infrastructure.nodes, strict=True):
+        assert one.p_world_m.tobytes() == other.p_world_m.tobytes()
+        assert {**vars(one), "p_world_m": 0} == {**vars(other), "p_world_m": 0}
     assert list(a.tables) == list(b.tables)
     assert all(a.tables[name].same_as(b.tables[name]) for name in a.tables)
     assert (a.truth is None and b.truth is None) or a.truth.same_as(b.truth)
@@ -83,7 +95,29 @@ def full_drive() -> Drive:
     steering = SteeringAngles(
         drive.imu.t_ns, drive.imu.t_ns + 7, rng.standard_normal(len(drive.imu))
     )
-    return dataclasses.replace(drive.with_tables(gnss=fixes, steering=steering), truth=truth)
+    rig = dataclasses.replace(drive.rig, p_veh_box_m=np.array([1.3, -0.1, 0.8]),
+                              gnss_bias=GnssBias(1.3, 60.0))  # fmt: skip
+    drive = dataclasses.replace(drive, rig=rig, truth=truth, infrastructure=two_nodes())
+    return drive.with_tables(gnss=fixes, steering=steering, **roadside(rng))
+
+
+def two_nodes() -> Infrastructure:
+    return Infrastructure(
+        (Node("north", np.array([7.13, 62.19, 6.0]), 0.3), Node("s", np.zeros(3), -2, 0.1, 0.01))
+    )
+
+
+def roadside(rng: np.random.Generator, n: int = 5) -> dict:
+    t_ns = np.arange(n) * 100_000_000
+    cov = np.tile(np.array([[0.3, 0.1], [0.1, 0.2]]), (n, 1, 1))
+    cov[2] = np.nan
+    seen = NodeDetections(
+        t_ns, t_ns + 90_000_000, np.arange(n) % 2, np.arange(n) - 1, np.ones(n),
+        rng.standard_normal((n, 2)), cov,
+    )  # fmt: skip
+    odometry = Odometry(t_ns, t_ns, *rng.standard_normal((2, n)), *rng.uniform(0.1, 1, (2, n)))
+    velocity = EnuVelocities(t_ns, t_ns, rng.standard_normal((n, 3)), rng.uniform(0.1, 1, n))
+    return {"odometry": odometry, "velocity": velocity, "detections": seen}
 
 
 @pytest.mark.parametrize("parquet", [False, True])
@@ -289,7 +323,9 @@ def test_a_folder_without_drive_toml_is_told(tmp_path):
 def test_a_folder_without_tables_is_told(small):
     folder = small()
     (folder / "gnss.csv").unlink()
-    tables = "gnss.csv, imu.csv, wheel.csv, steering.csv"
+    tables = (
+        "gnss.csv, imu.csv, wheel.csv, steering.csv, odometry.csv, velocity.csv, detections.csv"
+    )
     assert fault(folder) == f"small: has none of the tables {tables}"
 
 
@@ -319,7 +355,7 @@ def test_nothing_is_written_of_a_drive_that_could_not_be_read(tmp_path):
 
 def test_a_table_under_a_foreign_name_is_not_written(tmp_path):
     drive = make_city(1, 1.0)
-    says = "no file for source 'gnss2'; known: gnss, imu, wheel, steering"
+    says = "no file for source 'gnss2'; known: gnss, imu, wheel, steering, odometry"
     with pytest.raises(DriveError, match=says):
         write_drive(drive.with_tables(gnss2=drive.gnss), tmp_path / "drive")
 

@@ -90,6 +90,24 @@ def test_portions_leave_nothing_out(lengths, at_once):
         np.testing.assert_allclose(one, other, atol=1e-12)
 
 
+def test_noise_that_is_not_alike_on_all_axes_is_that_of_gtsam():
+    accel_noise, gyro_noise = np.array([1.5, 0.7, 0.1]), np.array([0.01, 0.02, 0.3])
+    measured = samples(150)
+    first, stop = np.array([0, 40]), np.array([[60, 150]])
+    ours = preintegrate(*measured, first, stop, np.tile(accel_noise, (2, 1)),
+                        np.tile(gyro_noise, (2, 1)))  # fmt: skip
+    for n, (a, b) in enumerate(zip(first, stop[0], strict=True)):
+        theirs = by_gtsam(*(column[a:b] for column in measured), accel_noise, gyro_noise)
+        assert_same(ours.take((0, n)), theirs)
+
+
+def test_axes_that_are_alike_may_be_told_one_by_one():
+    measured, first, stop = samples(60), np.array([0]), np.array([[60]])
+    one = preintegrate(*measured, first, stop, 0.2, 0.03)
+    each = preintegrate(*measured, first, stop, np.full((1, 3), 0.2), np.full((1, 3), 0.03))
+    np.testing.assert_allclose(each.cov, one.cov, rtol=1e-12, atol=1e-15)
+
+
 @pytest.mark.parametrize("turn_radps", [0.01, 0.1, 1.0])
 def test_two_intervals_joined_are_the_whole(turn_radps):
     """To second order in a sample's turn, which the sum of the whole leaves out along its way."""

@@ -1,0 +1,87 @@
+"""Nodes beside the road: where what they see lies in the world, and what is refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fgloc.datasets.drive_folder import read_drive
+from fgloc.drive import Drive, Rig
+from fgloc.errors import DriveError
+from fgloc.frames import Origin
+from fgloc.infrastructure import Infrastructure, Node
+from fgloc.measurements import NodeDetections
+
+TOML = """format = 1
+name = "roadside"
+[origin]
+lat_deg = 42.3
+lon_deg = -83.7
+height_m = 270
+[[node]]
+name = "pole"
+p_world_m = [10, 20, 6]
+yaw_rad = 1.5707963267948966
+"""
+
+
+SEEN = "t_ns,node,object_id,kind,x_m,y_m\n1,0,7,1,10,25\n"
+
+
+def write(folder, detections: str, toml: str = TOML):
+    (folder / "drive.toml").write_text(toml)
+    (folder / "detections.csv").write_text(detections)
+    return folder
+
+
+def test_a_node_that_looks_north_sees_what_lies_ahead_to_its_north():
+    node = Node("pole", np.array([10.0, 20, 6]), np.pi / 2)
+    np.testing.assert_allclose(node.to_world(np.array([[5.0, 0], [0, 3]])), [[10, 25], [7, 20]])
+
+
+@given(st.floats(-10, 10), st.floats(-500, 500), st.floats(-500, 500))
+def test_to_the_world_and_back_is_where_it_was(yaw_rad, x_m, y_m):
+    node = Node("pole", np.array([1.0, -2, 3]), yaw_rad)
+    seen = np.array([[x_m, y_m]])
+    np.testing.assert_allclose(node.from_world(node.to_world(seen)), seen, atol=1e-9)
+
+
+def test_detections_in_east_and_north_are_brought_to_the_nodes_axes(tmp_path):
+    table = "t_ns,node,object_id,kind,east_m,north_m\n1,0,7,1,10,25\n"
+    drive = read_drive(write(tmp_path, table))
+    np.testing.assert_allclose(drive.tables["detections"].p_node_m, [[5, 0]], atol=1e-12)
+    assert np.isnan(drive.tables["detections"].cov_node_m2).all()
+
+
+def test_a_detection_of_a_node_that_is_not_there_names_row_and_remedy(tmp_path):
+    table = "t_ns,node,object_id,kind,x_m,y_m\n1,0,7,1,10,25\n2,1,7,1,10,25\n"
+    with pytest.raises(DriveError, match=r"detections.csv:3: node = 1, but drive.toml has 1 "):
+        read_drive(write(tmp_path, table))
+
+
+def test_a_covariance_that_is_none_names_its_row(tmp_path):
+    header = "t_ns,node,object_id,kind,x_m,y_m,cov_xx_m2,cov_xy_m2,cov_yy_m2\n"
+    with pytest.raises(DriveError, match=r"detections.csv:2: the covariance .* not positive"):
+        read_drive(write(tmp_path, header + "1,0,7,1,10,25,1,2,1\n"))
+
+
+def test_two_nodes_of_one_name_are_refused(tmp_path):
+    with pytest.raises(DriveError, match="'pole' occurs twice"):
+        read_drive(write(tmp_path, SEEN, TOML + '[[node]]\nname = "pole"\np_world_m = [0, 0, 0]\n'))
+
+
+@pytest.mark.parametrize(
+    ("part", "says"),
+    [({"p_world_m": [0, 0]}, "three finite"), ({"range_m": -1.0}, "from 0"),
+     ({"yaw_rad": np.nan}, "yaw_rad")],
+)  # fmt: skip
+def test_a_node_of_impossible_numbers_is_refused(part, says):
+    with pytest.raises(DriveError, match=says):
+        Node(**{"name": "pole", "p_world_m": np.zeros(3)} | part)
+
+
+def test_a_drive_in_memory_knows_the_nodes_of_its_detections():
+    seen = NodeDetections([1], [1], [2], [0], [1], [[0, 0]], np.full((1, 2, 2), np.nan))
+    with pytest.raises(DriveError, match="node = 2, but the drive has 1 nodes"):
+        Drive("d", Origin(42, -83, 0), Rig(), {"detections": seen}, None,
+              infrastructure=Infrastructure((Node("pole", np.zeros(3)),)))  # fmt: skip
