@@ -205,6 +205,14 @@ def _log_of_any(R: Array) -> Array:
     return q[..., :3] * np.where(small, 2.0, angle / np.where(small, 1.0, sine))
 
 
+def pose_cov_to_world(R_world_veh: Array, cov: Array) -> Array:
+    """(N, 6, 6) of (rotation, translation) in the vehicle frame to (position, rotation) in ENU."""
+    turn = np.zeros((len(R_world_veh), 6, 6))
+    turn[:, :3, 3:] = R_world_veh
+    turn[:, 3:, :3] = R_world_veh
+    return turn @ cov @ turn.swapaxes(-1, -2)
+
+
 def right_jacobian_so3(rotvec_rad: ArrayLike) -> Array:
     """Jr with Exp(w + d) = Exp(w) Exp(Jr(w) d) to first order, (..., 3) to (..., 3, 3)."""
     vector = np.asarray(rotvec_rad, float)

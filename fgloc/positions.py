@@ -5,7 +5,8 @@ among the objects that it sees it does not say which is the vehicle: its rows ar
 has no height to tell gets one with a sigma that leaves the height free.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,9 +99,10 @@ class Positions:
     def __len__(self) -> int:
         return len(self.t_ns)
 
-    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Positions":
-        """Those that an index or a mask selects."""
-        return Positions(*(getattr(self, column.name)[rows] for column in fields(self)))
+    def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
+        """The rows that a mask or an index array selects."""
+        names = type(self).__dataclass_fields__
+        return type(self)(**{name: getattr(self, name)[rows] for name in names})
 
 
 def measured_positions(
@@ -283,5 +285,4 @@ def _joined(parts: list[Positions]) -> Positions:
     columns["frame"] = np.concatenate(
         [part.frame + n for part, n in zip(parts, first, strict=False)]
     )
-    order = np.argsort(columns["t_ns"], kind="stable")
-    return Positions(**{name: column[order] for name, column in columns.items()})
+    return Positions(**columns).take(np.argsort(columns["t_ns"], kind="stable"))

@@ -87,12 +87,12 @@ class Chain(Terms):
             return None
         model = sketch.few_model(self.model, keys)
         few = Chain(model, self._prior, sketch.few_deltas(self.deltas, keys))
-        surely = Robustness(model.positions.candidates, np.inf, plain=True)
+        nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
         try:
-            found, cost, iterations = few.optimum(states.take(keys), surely, rough=True)
+            found, cost, iterations = few.optimum(states.take(keys), nothing, rough=True)
         except SolverError:  # the whole chain may do better, or say where it fails
             return None
-        if not cost <= misfit(len(model.guides)):
+        if not cost <= misfit(few.rows):
             return None
         g = model.gravity_mps2
         return sketch.all_states(found, keys, self.deltas, self.bias_of, g), cost, iterations

@@ -24,31 +24,32 @@ Keys = NDArray[np.int64]
 
 
 def few_keyframes(model: Model, n: int) -> Keys | None:
-    """The first of each second among the first n keyframes, rather one with a position, and the
-    last.
+    """The first of each second among the first n keyframes, rather one with a fix, and the last.
 
-    None where that would not be few, or where more than positions and the IMU acts.
+    None where that would not be few, or where constraints of the vehicle act between them.
     """
-    car = model.car
-    if car.acts or car.stands.any() or len(car.velocities.keys):
+    if model.car.acts or model.car.stands.any() or len(model.car.velocities.keys):
         return None
-    measured = np.isin(np.arange(n), model.key_of[model.guides])
-    second = (model.t_s[:n] / APART_S).astype(int)
-    order = np.lexsort((~measured, second))
+    second, no_fix = (model.t_s[:n] / APART_S).astype(int), np.ones(n, bool)
+    no_fix[model.key_of[model.fixed(0, n)]] = False
+    order = np.lexsort((no_fix, second))
     _, first = np.unique(second[order], return_index=True)
     keys = np.union1d(order[first], [0, n - 1])
     return keys if WORTH * len(keys) <= n else None
 
 
 def few_model(model: Model, keys: Keys) -> Model:
-    """The model of a drive with some of its keyframes, which others become epochs between."""
-    epochs, positions = model.epochs, model.positions
+    """The model of a drive with some of its keyframes, and the fixes at these; the others become
+    epochs between."""
+    epochs = model.epochs
     is_keyframe = np.zeros(len(epochs), bool)
     is_keyframe[model.epoch_of[keys]] = True
+    there = np.isin(model.key_of, keys) & ~model.positions.candidates
     plan = replace(
-        model.plan, epochs=replace(epochs, is_keyframe=is_keyframe),
-        positions=positions.take(np.isin(model.key_of, keys)),
-    )  # fmt: skip
+        model.plan,
+        epochs=replace(epochs, is_keyframe=is_keyframe),
+        positions=model.positions.take(there),
+    )
     few = Model(model.drive, plan, model.config)
     few.shifted_s = model.shifted_s
     return few

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.factors import vehicle
+from fgloc.frames import pose_cov_to_world
 from fgloc.measurements import Array
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import Model
@@ -95,14 +96,6 @@ class StateLog:
         arm = np.cross(model.epochs.rate_radps - self.gyro_bias, -model.p_veh_imu_m)
         v = self.v + np.einsum("nij,nj->ni", self.R, arm)
         return replace(of_imu.at_point(np.zeros(3)), v_world_mps=v)
-
-
-def pose_cov_to_world(R: Array, cov: Array) -> Array:
-    """(N, 6, 6) of (rotation, translation) in the vehicle frame to (position, rotation) in ENU."""
-    turn = np.zeros((len(R), 6, 6))
-    turn[:, :3, 3:] = R
-    turn[:, 3:, :3] = R
-    return turn @ cov @ turn.swapaxes(-1, -2)
 
 
 def yaw_sigma_rad(R_world_veh: Array, cov_rotation: Array) -> float:
