@@ -39,6 +39,15 @@ _INFOS = (
         "plain simulated drive: GNSS 10 Hz, IMU 100 Hz, wheel speed 50 Hz; option duration_s",
     ),
     DatasetInfo(
+        "khamooshi2023/constant-velocity", "scenario", 4.0, ("detections", "odometry"), "MIT",
+        "a car from one node to another; a camera and a LiDAR on each",
+    ),
+    DatasetInfo(
+        "khamooshi2023/right-turn", "scenario", 7.1,
+        ("detections", "odometry", "gnss", "velocity"), "MIT",
+        "a right turn at 10 m/s past a node; the car has GNSS/INS",
+    ),
+    DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
     ),
@@ -87,7 +96,11 @@ _IMPORTERS = {
 }
 """Module and function of each format."""
 
-_SCENARIOS = {"city": "city.make_city"}
+_SCENARIOS = {
+    "city": "city.make_city",
+    "khamooshi2023/constant-velocity": "khamooshi2023_node.make_constant_velocity",
+    "khamooshi2023/right-turn": "khamooshi2023_node.make_right_turn",
+}
 """Module and function of each scenario."""
 
 _WITHOUT_FOLDER = {"kitti"}

@@ -13,7 +13,12 @@ from fgloc.result import Result
 
 __all__ = ["RAW", "available", "check", "run"]
 
-_METHODS: dict[str, str] = {}
+_METHODS: dict[str, str] = {
+    "khamooshi2023-ckf": "khamooshi2023_ckf.run",
+    "khamooshi2023-ckf-bicycle": "khamooshi2023_ckf.run_bicycle",
+    "khamooshi2023-ckf-free": "khamooshi2023_ckf.run_free",
+    "khamooshi2023-ckf-sensors": "khamooshi2023_ckf.run_sensors",
+}
 """Module and function of each method: from a drive to its result, `summary` without wall time."""
 
 RAW = "raw:"
