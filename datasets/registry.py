@@ -39,6 +39,26 @@ _INFOS = (
         "plain simulated drive: GNSS 10 Hz, IMU 100 Hz, wheel speed 50 Hz; option duration_s",
     ),
     DatasetInfo(
+        "khamooshi2023/one-node", "scenario", 4.0, ("detections", "gnss", "relative"), "MIT",
+        "one node, the ego car at 20 m/s, another at 50 m/s",
+    ),
+    DatasetInfo(
+        "khamooshi2023/two-nodes", "scenario", 4.0, ("detections", "gnss", "relative"), "MIT",
+        "two nodes 40 m apart, two cars at 30 m/s",
+    ),
+    DatasetInfo(
+        "khamooshi2023/acceleration", "scenario", 4.0, ("detections", "gnss", "relative"), "MIT",
+        "one node; a car at 10 m/s^2 from rest, another braking",
+    ),
+    DatasetInfo(
+        "khamooshi2023/correspondence", "scenario", 4.0, ("detections", "relative"), "MIT",
+        "five objects under any heading, one node, no fixes",
+    ),
+    DatasetInfo(
+        "khamooshi2023/intersection", "scenario", 10.0, ("detections", "gnss", "relative"), "MIT",
+        "bus, car and pedestrian; the car is hidden for a while",
+    ),
+    DatasetInfo(
         "khamooshi2023/constant-velocity", "scenario", 4.0, ("detections", "odometry"), "MIT",
         "a car from one node to another; a camera and a LiDAR on each",
     ),
@@ -99,6 +119,11 @@ _IMPORTERS = {
 _SCENARIOS = {
     "city": "city.make_city",
     "khamooshi2023/constant-velocity": "khamooshi2023_node.make_constant_velocity",
+    "khamooshi2023/one-node": "khamooshi2023_cooperative.make_one_node",
+    "khamooshi2023/two-nodes": "khamooshi2023_cooperative.make_two_nodes",
+    "khamooshi2023/acceleration": "khamooshi2023_cooperative.make_acceleration",
+    "khamooshi2023/correspondence": "khamooshi2023_cooperative.make_correspondence",
+    "khamooshi2023/intersection": "khamooshi2023_cooperative.make_intersection",
     "khamooshi2023/right-turn": "khamooshi2023_node.make_right_turn",
 }
 """Module and function of each scenario."""
