@@ -10,7 +10,7 @@ The joint estimate is told, and is not given back to the filters.
 import numpy as np
 
 from fgloc.baselines.joint import Belief, of_car, of_node
-from fgloc.baselines.planar import cooperative_result
+from fgloc.correspondence.results import cooperative_result
 from fgloc.correspondence.tracks import track_objects
 from fgloc.drive import Drive
 from fgloc.measurements import Array

@@ -27,9 +27,9 @@ from fgloc.baselines.planar import (
     Sightings,
     detections_of,
     inputs_at,
-    planar_result,
     usable_rows,
 )
+from fgloc.correspondence.results import planar_result
 from fgloc.drive import Drive
 from fgloc.measurements import Array, GnssFixes, NodeDetections
 from fgloc.result import Result

@@ -24,7 +24,7 @@ import numpy as np
 from fgloc.baselines.consensus import gamma, gamma_star, rank_of, star
 from fgloc.baselines.joint import Belief, Information, model, of_car, of_node
 from fgloc.baselines.packets import Network, Packet
-from fgloc.baselines.planar import cooperative_result
+from fgloc.correspondence.results import cooperative_result
 from fgloc.correspondence.tracks import Epochs, track_objects
 from fgloc.drive import Drive
 from fgloc.measurements import Array
@@ -91,7 +91,7 @@ def run_sources(drive: Drive, sources: Sources, method: str = "khamooshi2023-kcf
         )
     return cooperative_result(
         drive, method, found, [b.x for b in beliefs], [b.P for b in beliefs],
-        [b.born for b in beliefs], packets=network.sent, packets_late=len(late), **checks,
+        [b.born for b in beliefs], packets=network.sent, packets_late=len(late), consensus=checks,
     )  # fmt: skip
 
 

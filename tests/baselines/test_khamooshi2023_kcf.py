@@ -198,7 +198,7 @@ def test_late_packets_are_put_where_they_belong_and_lost_ones_are_missed():
 
 
 def test_the_summary_tells_of_stability_and_of_what_is_observable():
-    summary = baselines.run(scenario("two-nodes", 0), "khamooshi2023-kcf").summary
+    summary = baselines.run(scenario("two-nodes", 0), "khamooshi2023-kcf").summary["consensus"]
     assert summary["gamma_star_min"] > 0 and 0 < summary["gamma_max"] < 0.1
     assert 0 <= summary["stable_share"] <= 1 and summary["observable_share"] == 1
 
