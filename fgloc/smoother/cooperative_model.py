@@ -187,7 +187,7 @@ class Builder:
     def _add(self, part: Part, size: int, b: Array, *terms: tuple[int, Array]) -> None:
         """A factor |sum A x - b| of whitened rows."""
         flat: list[Any] = [item for term in terms for item in term]
-        factor = gtsam.JacobianFactor(*flat, b, _UNIT[size])
+        factor = gtsam.JacobianFactor(*[*flat, b, _UNIT[size]])
         part.graph.add(gtsam.LinearContainerFactor(factor, self.zeros))
         self.factors += 1
 
