@@ -52,21 +52,24 @@ def make_layout(
     sigma_m: float = SIGMA_M,
     missing: float = MISSING,
     ghosts: float = GHOSTS,
+    one_sided: bool = False,
 ) -> Layout:
     """One layout of so many objects, the car included.
 
-    missing  share of the objects that the node does not see, and that the car does not
-    ghosts   as many again, as a share of the objects, that are not there, in both sets
+    missing    share of the objects that the node does not see, and that the car does not
+    ghosts     as many again, as a share of the objects, that are not there, in both sets
+    one_sided  only the car misses objects and only the node has ghosts, as where others hide some
+               from the car
     Raises InputError where a share is outside [0, 1) or the count outside 3 to 200.
     """
     _check(objects, sigma_m, missing, ghosts)
     place = rng.uniform(-SIDE_M / 2, SIDE_M / 2, (objects, 2))
     yaw = rng.uniform(-math.pi, math.pi)
-    by_node = rng.random(objects) >= missing
+    by_node = (rng.random(objects) >= missing) | one_sided
     by_car = rng.random(objects) >= missing
     by_car[0] = True
     world, names_world = _seen(rng, place, by_node, sigma_m, ghosts)
-    car, names_car = _seen(rng, place, by_car, sigma_m, ghosts, first=True)
+    car, names_car = _seen(rng, place, by_car, sigma_m, 0.0 if one_sided else ghosts, first=True)
     c, s = math.cos(yaw), math.sin(yaw)
     veh = (car - place[0]) @ np.array([[c, -s], [s, c]])
     veh[0] = 0.0
@@ -86,15 +89,14 @@ def make_layouts(
     sigma_m: float = SIGMA_M,
     missing: float = MISSING,
     ghosts: float = GHOSTS,
+    one_sided: bool = False,
 ) -> list[Layout]:
     """So many layouts; equal seeds and sizes give equal layouts, and the first of many are those
     of few.
     """
     rng = stream(seed, f"layouts of {objects}")
-    return [
-        make_layout(rng, objects, sigma_m=sigma_m, missing=missing, ghosts=ghosts)
-        for _ in range(count)
-    ]
+    options = {"sigma_m": sigma_m, "missing": missing, "ghosts": ghosts}
+    return [make_layout(rng, objects, one_sided=one_sided, **options) for _ in range(count)]
 
 
 def _seen(

@@ -18,6 +18,8 @@ _METHODS: dict[str, str] = {
     "khamooshi2023-ckf": "khamooshi2023_ckf.run",
     "khamooshi2023-ckf-bicycle": "khamooshi2023_ckf.run_bicycle",
     "khamooshi2023-ckf-free": "khamooshi2023_ckf.run_free",
+    "khamooshi2023-ckf-hard": "khamooshi2023_ckf.run_hard",
+    "khamooshi2023-ckf-soft": "khamooshi2023_ckf.run_soft",
     "khamooshi2023-ckf-sensors": "khamooshi2023_ckf.run_sensors",
     "khamooshi2023-kcf": "khamooshi2023_kcf.run",
     "khamooshi2023-kcf-nodes": "khamooshi2023_kcf.run_nodes",

@@ -86,6 +86,16 @@ def run_sensors(drive: Drive) -> Result:
     return run_stages(drive, Stages("", hard=False, soft=False), "khamooshi2023-ckf-sensors")
 
 
+def run_hard(drive: Drive) -> Result:
+    """The hard constraint alone."""
+    return run_stages(drive, Stages(soft=False), "khamooshi2023-ckf-hard")
+
+
+def run_soft(drive: Drive) -> Result:
+    """The soft constraint alone."""
+    return run_stages(drive, Stages(hard=False), "khamooshi2023-ckf-soft")
+
+
 def run_bicycle(drive: Drive) -> Result:
     """The second motion model, with constraints."""
     return run_stages(drive, Stages("bicycle"), "khamooshi2023-ckf-bicycle")

@@ -55,13 +55,17 @@ _share = click.FloatRange(0, 1, max_open=True)
               help="Share of the objects that the node misses, and that the car does.")  # fmt: skip
 @click.option("--ghosts", type=_share, default=0.2, show_default=True, metavar="SHARE",
               help="As many again that are not there, in both sets.")  # fmt: skip
+@click.option(
+    "--one-sided", is_flag=True, help="Only the car misses objects, only the node has ghosts."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="N",
               help="Seed of the layouts.")  # fmt: skip
 @click.option("--out", metavar="DIR", type=click.Path(path_type=Path),
               help=f"Folder for {FILE}; made where it is missing.")  # fmt: skip
 @options.as_json
 def correspond(
-    layouts: int, sizes: tuple[int, ...], sigma_m: float, missing: float, ghosts: float, seed: int,
+    layouts: int, sizes: tuple[int, ...], sigma_m: float, missing: float, ghosts: float,
+    one_sided: bool, seed: int,
     out: Path | None, as_json: bool,
 ) -> None:  # fmt: skip
     """ICP, CPD, warm start and ours on object layouts.
@@ -76,7 +80,7 @@ def correspond(
 
     if out is not None:
         outputs.check_folder(out)
-    given = {"sigma_m": sigma_m, "missing": missing, "ghosts": ghosts}
+    given = {"sigma_m": sigma_m, "missing": missing, "ghosts": ghosts, "one_sided": one_sided}
     with steps("matching layouts") as tell:
         rows = study(layouts, sizes, seed, tell=tell, options=given)
     values = {"layouts": layouts, "seed": seed, **given, "rows": [row.to_dict() for row in rows]}

@@ -97,11 +97,11 @@ def study(
     *,
     methods: Mapping[str, Method] = METHODS,
     tell: Callable[[str], None] = lambda line: None,
-    options: Mapping[str, float] = MappingProxyType({}),
+    options: Mapping[str, Any] = MappingProxyType({}),
 ) -> list[Row]:
     """Rows for each size and method; equal arguments give equal layouts.
 
-    options  of the layouts: sigma_m, missing, ghosts
+    options  of the layouts: sigma_m, missing, ghosts, one_sided
     Raises InputError for values out of range.
     """
     if layouts < 1 or not sizes:

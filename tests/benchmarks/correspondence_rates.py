@@ -1,7 +1,7 @@
 # ruff: noqa: T201
 """How often each matching fails, per number of objects, with 95 % intervals.
 
-    python tests/benchmarks/correspondence_rates.py [--layouts 1000] [--sizes 3,5,10,20,30]
+    python tests/benchmarks/correspondence_rates.py [--layouts 1000] [--sizes 3,5,10] [--one-sided]
 
 Layouts in 80 x 80 m with any heading, noise of 0.3 m, 20 % missing and 20 % ghosts in the node's
 set and in the car's. Ambiguous layouts are found by an exhaustive search and left out of the rates.
@@ -19,13 +19,17 @@ def main() -> None:
     parser.add_argument("--sizes", default="3,5,10,20,30")
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--one-sided", action="store_true", help="missed by the car, ghosts of the node"
+    )
     args = parser.parse_args()
     methods = {name: METHODS[name] for name in args.methods.split(",")}
     print(
         "objects clear method        failed %  (95 %)        heading wrong none  found likely  ms"
     )
     for size in map(int, args.sizes.split(",")):
-        for row in study(args.layouts, [size], args.seed, methods=methods):
+        options = {"one_sided": args.one_sided}
+        for row in study(args.layouts, [size], args.seed, methods=methods, options=options):
             rates = (row.heading, row.wrong_pair, row.no_answer, row.found, row.found_likely)
             print(
                 f"{size:7d} {row.layouts - row.ambiguous:5d} {row.method:12s} "

@@ -29,6 +29,11 @@ def test_noise_missing_and_ghosts_are_as_asked():
     assert np.abs(np.concatenate([x.p_world_m for x in layouts])).max() < SIDE_M / 2 + 2
 
 
+def test_one_sided_the_car_misses_objects_and_the_node_has_ghosts():
+    for x in make_layouts(1, 12, 10, one_sided=True):
+        assert len(x.p_veh_m) == len(x.pairs) <= 12 <= len(x.p_world_m)
+
+
 def test_the_last_step_lies_close():
     for x in make_layouts(2, 5, 20):
         assert np.linalg.norm(x.last_t_m - x.t_m) <= 1.5
