@@ -68,8 +68,16 @@ _INFOS = (
         "a right turn at 10 m/s past a node; the car has GNSS/INS",
     ),
     DatasetInfo(
+        "lee2021/mcity", "scenario", 300.0, ("gnss", "imu", "velocity", "detections"), "MIT",
+        "three passes by a roadside node (Lee et al. 2021); options errors, latency_s",
+    ),
+    DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
+    ),
+    DatasetInfo(
+        "mcity-13", "real", 60.0, ("gnss", "odometry", "velocity", "detections"), "MIT",
+        "real roadside detections of two cars, RTK 50 Hz; GPS and odometry simulated from the RTK",
     ),
     DatasetInfo(
         "kitti", "real", 469.6, ("gnss", "imu"), "CC-BY-NC-SA-3.0",
@@ -103,6 +111,10 @@ _INFOS = (
         "nmea", "importer", None, ("gnss",), "the source's",
         "NMEA-0183 log with GGA, RMC, GST; IMU from a CSV of ours (--imu, --imu-noise)",
     ),
+    DatasetInfo(
+        "mcity-roadside", "importer", None, ("gnss", "odometry", "velocity", "detections"),
+        "the source's", "roadside node at Mcity (--trial); GPS and odometry simulated from the RTK",
+    ),
 )  # fmt: skip
 
 _IMPORTERS = {
@@ -113,11 +125,13 @@ _IMPORTERS = {
     "euroc": "euroc.import_euroc",
     "rtklib-pos": "rtklib_pos.import_rtklib_pos",
     "nmea": "nmea.import_nmea",
+    "mcity-roadside": "mcity_roadside.import_mcity_roadside",
 }
 """Module and function of each format."""
 
 _SCENARIOS = {
     "city": "city.make_city",
+    "lee2021/mcity": "lee2021.make_lee2021_mcity",
     "khamooshi2023/constant-velocity": "khamooshi2023_node.make_constant_velocity",
     "khamooshi2023/one-node": "khamooshi2023_cooperative.make_one_node",
     "khamooshi2023/two-nodes": "khamooshi2023_cooperative.make_two_nodes",

@@ -1,4 +1,4 @@
-"""Methods `khamooshi2023-ckf*`: constrained Kalman filter over a node's camera and LiDAR.
+"""Methods `khamooshi2023-ckf`: constrained Kalman filter over a node's camera and LiDAR.
 
 Khamooshi, Cooperative perception and localization for autonomous driving (thesis, Waterloo, 2023),
 sections 3.2 to 3.4, with the mends below.
@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.baselines.planar import (
+from fgloc.baselines.sightings import (
     Sightings,
     detections_of,
     inputs_at,
@@ -78,27 +78,27 @@ def run(drive: Drive) -> Result:
 
 def run_free(drive: Drive) -> Result:
     """Without constraints."""
-    return run_stages(drive, Stages(hard=False, soft=False), "khamooshi2023-ckf-free")
+    return run_stages(drive, Stages(hard=False, soft=False), "khamooshi2023-ckf:free")
 
 
 def run_sensors(drive: Drive) -> Result:
     """Neither motion model nor constraints: the weighted mean of what is measured at an instant."""
-    return run_stages(drive, Stages("", hard=False, soft=False), "khamooshi2023-ckf-sensors")
+    return run_stages(drive, Stages("", hard=False, soft=False), "khamooshi2023-ckf:sensors")
 
 
 def run_hard(drive: Drive) -> Result:
     """The hard constraint alone."""
-    return run_stages(drive, Stages(soft=False), "khamooshi2023-ckf-hard")
+    return run_stages(drive, Stages(soft=False), "khamooshi2023-ckf:hard")
 
 
 def run_soft(drive: Drive) -> Result:
     """The soft constraint alone."""
-    return run_stages(drive, Stages(hard=False), "khamooshi2023-ckf-soft")
+    return run_stages(drive, Stages(hard=False), "khamooshi2023-ckf:soft")
 
 
 def run_bicycle(drive: Drive) -> Result:
     """The second motion model, with constraints."""
-    return run_stages(drive, Stages("bicycle"), "khamooshi2023-ckf-bicycle")
+    return run_stages(drive, Stages("bicycle"), "khamooshi2023-ckf:bicycle")
 
 
 def run_stages(drive: Drive, stages: Stages, method: str = "khamooshi2023-ckf") -> Result:

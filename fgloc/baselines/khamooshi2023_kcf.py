@@ -1,4 +1,4 @@
-"""Methods `khamooshi2023-kcf*`: the Kalman-Consensus Filter of car and nodes.
+"""Methods `khamooshi2023-kcf`: the Kalman-Consensus Filter of car and nodes.
 
 Khamooshi, Cooperative perception and localization for autonomous driving (thesis, Waterloo, 2023),
 section 4.4, Algorithm 4.3.
@@ -59,12 +59,12 @@ def run(drive: Drive) -> Result:
 
 def run_onboard(drive: Drive) -> Result:
     """The car alone. Its own number for an object is matched by what nodes see, nothing else."""
-    return run_sources(drive, Sources(nodes=()), "khamooshi2023-kcf-onboard")
+    return run_sources(drive, Sources(nodes=()), "khamooshi2023-kcf:onboard")
 
 
 def run_nodes(drive: Drive) -> Result:
     """All nodes, without the car's own sensors."""
-    return run_sources(drive, Sources(car=False), "khamooshi2023-kcf-nodes")
+    return run_sources(drive, Sources(car=False), "khamooshi2023-kcf:nodes")
 
 
 def run_sources(drive: Drive, sources: Sources, method: str = "khamooshi2023-kcf") -> Result:

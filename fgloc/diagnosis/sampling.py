@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, robust_sigma, rows_of, warning
 from fgloc.drive import Drive
-from fgloc.measurements import Array, GnssFixes, ImuSamples, Table
+from fgloc.measurements import (
+    Array,
+    GnssFixes,
+    ImuSamples,
+    NodeDetections,
+    RelativeSightings,
+    Table,
+)
 from fgloc.timing import NS_PER_S
 
 SLOWEST_HZ = {"gnss": 0.1, "imu": 20.0, "wheel": 1.0}
@@ -33,8 +40,12 @@ _DAY_S = 86_400.0
 
 def check_rows(drive: Drive) -> Iterator[Finding]:
     """What there is at all: tables, and rows in them."""
+    # Where nodes see several road users, the graph needs neither fixes nor an IMU of the car.
+    of_many = NodeDetections.KIND in drive.tables and (
+        drive.objects is not None or RelativeSightings.KIND in drive.tables
+    )
     for name in ("gnss", "imu"):
-        if name not in drive.tables:
+        if name not in drive.tables and not of_many:
             yield fault(
                 "no-table",
                 name,
@@ -106,10 +117,10 @@ def check_gaps(drive: Drive) -> Iterator[Finding]:
 
 
 def check_duplicates(drive: Drive) -> Iterator[Finding]:
-    """Rows of an instant that another row has told of already."""
+    """Rows of an instant that another has told of already; what sees many objects is let be."""
     for name, table in drive.tables.items():
         repeats = np.flatnonzero(np.diff(table.t_ns) == 0) + 1
-        if len(repeats):
+        if len(repeats) and not isinstance(table, NodeDetections | RelativeSightings):
             yield warning(
                 "duplicate",
                 name,

@@ -2,7 +2,7 @@
 
 import platform
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeVar
 
@@ -13,6 +13,7 @@ from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
+from fgloc.smoother.roadside import roadside
 from fgloc.sync import plan
 from fgloc.verdicts import counts
 
@@ -33,7 +34,10 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
     """
     began = time.perf_counter()
     run = _batch if config.mode == "batch" else _online
-    result = run_cooperative(drive, config) if is_cooperative(drive) else run(drive, config)
+    if is_cooperative(drive):
+        result = replace(run_cooperative(drive, config), config=_provenance(config))
+    else:
+        result = run(drive, config)
     wall_s = time.perf_counter() - began
     duration_s = result.summary["duration_s"]
     result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
@@ -46,12 +50,12 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
     run = run_batch(model)
     in_force = config
     for _ in range(MAX_SHIFTS):
-        if abs(run.late_s) < STILL_LATE_S:
+        if abs(run.states.late_s) < STILL_LATE_S:
             break
         # The estimate brings fixes back along a straight line: shift the stamps by it, and see what
         # is left. A fix may then be true at another instant, so the epochs are planned anew.
-        in_force = clocks.shifted(in_force, run.late_s)
-        shifted_s = model.shifted_s + run.late_s
+        in_force = clocks.shifted(in_force, run.states.late_s)
+        shifted_s = model.shifted_s + run.states.late_s
         model = _model(Model, drive, in_force)
         model.shifted_s = shifted_s
         run = run_batch(model)
@@ -59,9 +63,10 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
     summary["yaw_observable_s"] = 0.0 if known else None
     events = [*model.plan.events, *run.events]
-    if run.late_sigma_s is not None:
-        found = clocks.shifted(in_force, run.late_s)
-        summary["clock"] = clocks.summary(found, run.late_sigma_s)
+    summary |= roadside(model, run.states, run.sigmas)
+    if run.sigmas.late_s is not None:
+        found = clocks.shifted(in_force, run.states.late_s)
+        summary["clock"] = clocks.summary(found, run.sigmas.late_s)
         events.append(Event(int(model.t_ns[0]), "clock", summary["clock"]["text"]))
     verdicts = clocks.stamped_as_read(model.plan.verdicts, drive)
     return Result(
@@ -105,6 +110,7 @@ def _summary(model: Model, factors: int) -> dict[str, Any]:
         "states": len(model),
         "factors": factors,
         "counts": counts(model.plan.verdicts),
+        **({"motion": motion.kind} if (motion := model.plan.motion).is_made_up else {}),
         **({"vehicle": found} if (found := model.car.summary()) else {}),
         "origin": asdict(model.drive.origin),
     }

@@ -16,7 +16,7 @@ from fgloc.correspondence.results import cooperative_result
 from fgloc.correspondence.rigid import wrapped
 from fgloc.correspondence.tracks import Epochs, track_objects
 from fgloc.drive import Drive
-from fgloc.errors import SolverError
+from fgloc.errors import InputError, SolverError
 from fgloc.infrastructure import Node
 from fgloc.measurements import Array, NodeDetections, RelativeSightings
 from fgloc.result import Result
@@ -58,9 +58,14 @@ def is_cooperative(drive: Drive) -> bool:
 def run_cooperative(drive: Drive, config: SmoothConfig) -> Result:
     """All road users of a drive by the graph, as `config.mode` says.
 
-    Raises DriveError where the drive has no detections of nodes or the car is never found,
-    SolverError where the graph cannot be solved.
+    Of the configuration only the mode and the lag are in force. Raises DriveError where the drive
+    has no detections of nodes or the car is never found,
+    SolverError where the graph cannot be solved, InputError where `smoothed` is asked for.
     """
+    if config.smoothed:
+        raise InputError(
+            "smoothed is not given for drives of several road users; use the mode batch instead"
+        )
     method = _NAMES[config.mode]
     found = track_objects(drive, method)
     nodes = drive.infrastructure.nodes

@@ -5,7 +5,7 @@ import pytest
 
 from fgloc import baselines
 from fgloc.baselines import khamooshi2023_ckf as ckf
-from fgloc.baselines.planar import Sightings
+from fgloc.baselines.sightings import Sightings
 from fgloc.datasets import make
 from fgloc.drive import Drive, Rig
 from fgloc.errors import DriveError

@@ -19,7 +19,7 @@ from fgloc.evaluation.objects import errors_by_object
 from fgloc.verdicts import Verdict
 
 NAMES = ("one-node", "two-nodes", "acceleration", "correspondence", "intersection")
-METHODS = ("khamooshi2023-kcf", "khamooshi2023-kcf-nodes", "khamooshi2023-kcf-onboard",
+METHODS = ("khamooshi2023-kcf", "khamooshi2023-kcf:nodes", "khamooshi2023-kcf:onboard",
            "covariance-intersection")  # fmt: skip
 
 
@@ -209,4 +209,4 @@ def test_a_car_that_cannot_be_found_is_an_error():
     with pytest.raises(DriveError, match="never found"):
         baselines.run(dataclasses.replace(drive, tables=tables), "khamooshi2023-kcf")
     with pytest.raises(DriveError, match="nothing that takes part places the car"):
-        baselines.run(scenario("correspondence", 0), "khamooshi2023-kcf-onboard")
+        baselines.run(scenario("correspondence", 0), "khamooshi2023-kcf:onboard")

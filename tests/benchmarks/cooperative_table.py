@@ -34,7 +34,7 @@ def methods(nodes: int) -> dict[str, Callable]:
     }
     return {
         AGAINST: lambda d: baselines.run(d, AGAINST),
-        "onboard alone": lambda d: baselines.run(d, "khamooshi2023-kcf-onboard"),
+        "onboard alone": lambda d: baselines.run(d, "khamooshi2023-kcf:onboard"),
         **alone,
         "covariance-intersection": lambda d: baselines.run(d, "covariance-intersection"),
         "graph-lag": lambda d: fgloc.smooth(d, mode="fixed-lag"),

@@ -7,11 +7,12 @@ import pytest
 
 import fgloc
 from fgloc import baselines
+from fgloc.api import doctor
 from fgloc.baselines.joint import Belief, of_node
 from fgloc.correspondence.tracks import Epoch, track_objects
 from fgloc.datasets import make
 from fgloc.datasets.city import make_city
-from fgloc.errors import DriveError
+from fgloc.errors import DriveError, InputError
 from fgloc.evaluation.objects import errors_by_object
 from fgloc.infrastructure import Infrastructure, Node
 from fgloc.smoother.cooperative import is_cooperative, new_tree
@@ -183,6 +184,17 @@ def test_the_whitener_of_the_motion_is_that_of_its_noise():
     Q, half = np.linalg.inv(W.T @ W), np.linalg.inv(half_W.T @ half_W)
     assert half_F @ half @ half_F.T + half == pytest.approx(Q)
     assert F[0, 2] == 0.1
+
+
+def test_smoothed_is_refused_rather_than_left_out():
+    with pytest.raises(InputError, match="use the mode batch"):
+        fgloc.smooth(scenario("one-node"), "fixed-lag", smoothed=True)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_doctor_has_no_complaint_of_several_objects_at_an_instant(name):
+    findings = doctor(scenario(name))
+    assert [f.check for f in findings if f.severity == "fault" or f.check == "duplicate"] == []
 
 
 def test_a_car_that_is_never_found_is_told():
