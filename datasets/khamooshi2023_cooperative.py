@@ -37,8 +37,8 @@ A_CAR = 1.8e-4
 CAR_HEIGHT_M = 2.0
 NODE_HEIGHT_M = 10.0
 CAR_RANGE_M, NODE_RANGE_M = 80.0, 120.0
-STEPS = 40
-"""Not printed; 4 s, over which the car of 4.5.2 passes the node."""
+STEPS, STEPS_TWO_NODES = 40, 24
+"""Not printed; over 4 s the car of 4.5.2 passes the node, over 2.4 s that of 4.5.3 passes both."""
 EGO_FROM_M, OTHER_FROM_M = (-16.0, -3.7), (-25.0, 3.2)
 _PERSON_M = 0.4  # half the width of what hides another behind it
 
@@ -81,7 +81,8 @@ def make_two_nodes(
     seed: int = 0, onboard: bool = True, latency_s: float = 0.0, loss: float = 0.0
 ) -> Drive:
     """4.5.3: two nodes 40 m apart, for an error that is even on the road; options as one-node."""
-    scene = _along([(EGO_FROM_M, 30.0, 0.0), (OTHER_FROM_M, 30.0, 0.0)], ((0.0, 8.0), (40.0, 8.0)))
+    cars = [(EGO_FROM_M, 30.0, 0.0), (OTHER_FROM_M, 30.0, 0.0)]
+    scene = _along(cars, ((0.0, 8.0), (40.0, 8.0)), STEPS_TWO_NODES)
     return _drive("two-nodes", seed, scene, onboard, latency_s, loss)
 
 
@@ -133,10 +134,12 @@ def make_intersection(
 
 
 def _along(
-    cars: list[tuple[tuple[float, float], float, float]], nodes_m: tuple[tuple[float, float], ...]
+    cars: list[tuple[tuple[float, float], float, float]],
+    nodes_m: tuple[tuple[float, float], ...],
+    steps: int = STEPS,
 ) -> Scene:
     """Cars on a road to the East: start, speed, acceleration; nobody drives backwards."""
-    t = np.arange(STEPS + 1) / RATE_HZ
+    t = np.arange(steps + 1) / RATE_HZ
     p, v = np.zeros((len(t), len(cars), 2)), np.zeros((len(t), len(cars), 2))
     for k, (start, speed, acceleration) in enumerate(cars):
         p[:, k] = start

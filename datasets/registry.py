@@ -43,7 +43,7 @@ _INFOS = (
         "one node, the ego car at 20 m/s, another at 50 m/s",
     ),
     DatasetInfo(
-        "khamooshi2023/two-nodes", "scenario", 4.0, ("detections", "gnss", "relative"), "MIT",
+        "khamooshi2023/two-nodes", "scenario", 2.4, ("detections", "gnss", "relative"), "MIT",
         "two nodes 40 m apart, two cars at 30 m/s",
     ),
     DatasetInfo(

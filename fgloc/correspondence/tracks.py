@@ -1,7 +1,8 @@
 """Whose number is whose: the objects of nodes and of the car become tracks.
 
 A node, and the car, keep the number that they gave an object; so a number is matched once, when it
-is new. To a node's new number belongs the track that is nearest to where it is seen. The car is
+is new. To a node's new number belongs the track that is nearest to where it is seen, of another
+node's or of one whose number the node has dropped; it is sought where it was heading. The car is
 the track where its fix is; without fixes it finds itself by `match`. To a number of the car's own
 belongs the track on which it falls under the heading that the objects agree on.
 """
@@ -26,6 +27,10 @@ T = TypeVar("T", bound=Table)
 
 GATE_SIGMA = 5.0
 _TURN_VARIANCE = 0.1**2  # rad^2 per s that an old heading loses
+_LONGEST_S = 1.0
+"""A track that was not seen for longer is not found again under another number."""
+_SPEED_SIGMA_MPS = 3.0
+_VELOCITY_NS = 500_000_000
 _NO_TRACK = -1
 
 
@@ -91,7 +96,7 @@ class _Tracker:
         }
         self.by_node: dict[tuple[int, int], int] = {}
         self.by_car: dict[int, int] = {}
-        self.last: dict[int, tuple[int, Array, Array]] = {}
+        self.last: dict[int, tuple[int, Array, Array, Array, int, Array]] = {}
         self.tracks = 0
         self.ego = _NO_TRACK
         self.yaw = (math.nan, math.nan, 0)
@@ -160,21 +165,43 @@ class _Tracker:
         """The track of a node's number: the one it had, the nearest of others, or a new one."""
         key = (int(seen.node[row]), int(seen.object_id[row]))
         if key not in self.by_node:
-            taken = {track for (node, _), track in self.by_node.items() if node == key[0]}
+            # A track that this node tells of at this instant is another object.
+            taken = {
+                self.by_node[other]
+                for other in self._numbers(seen, t_ns, key[0]) & self.by_node.keys()
+            }
             nearest = self._nearest(place, cov, t_ns, taken)
             self.by_node[key] = self.tracks if nearest is None else nearest
             self.tracks += nearest is None
         track = self.by_node[key]
-        self.last[track] = (t_ns, place, cov)
+        self._moved(track, t_ns, place, cov)
         return track
 
+    def _numbers(self, seen: NodeDetections, t_ns: int, node: int) -> set[tuple[int, int]]:
+        """What a node tells of at an instant."""
+        rows = (seen.t_ns == t_ns) & (seen.node == node)
+        return {(node, int(number)) for number in seen.object_id[rows]}
+
+    def _moved(self, track: int, t_ns: int, place: Array, cov: Array) -> None:
+        """A track's last place, and its velocity over the last half second or more."""
+        _, _, _, velocity, since_ns, since = self.last.get(
+            track, (t_ns, place, cov, np.zeros(2), t_ns, place)
+        )
+        if t_ns - since_ns >= _VELOCITY_NS:
+            velocity = (place - since) / ((t_ns - since_ns) / 1e9)
+            since_ns, since = t_ns, place
+        self.last[track] = (t_ns, place, cov, velocity, since_ns, since)
+
     def _nearest(self, place: Array, cov: Array, t_ns: int, taken: set[int]) -> int | None:
-        """The free track that was seen at this instant within the gate of a place."""
-        found = [
-            (float((place - p) @ np.linalg.solve(cov + other, place - p)), track)
-            for track, (when, p, other) in self.last.items()
-            if track not in taken and when == t_ns
-        ]
+        """The free track that, as it was moving, is within the gate of a place."""
+        found = []
+        for track, (when, p, other, velocity, *_) in self.last.items():
+            dt_s = (t_ns - when) / 1e9
+            if track in taken or dt_s > _LONGEST_S:
+                continue
+            gap = place - p - dt_s * velocity
+            spread = cov + other + (_SPEED_SIGMA_MPS * dt_s) ** 2 * np.eye(2)
+            found.append((float(gap @ np.linalg.solve(spread, gap)), track))
         best = min(found, default=(math.inf, 0))
         return best[1] if best[0] < GATE_SIGMA**2 else None
 

@@ -141,6 +141,23 @@ def test_numbers_of_nodes_and_car_become_one_track_for_each_object(name):
     assert np.nanmean(z**2) == pytest.approx(1.0, abs=0.7)
 
 
+def test_an_object_keeps_its_track_when_the_node_gives_it_another_number():
+    drive = scenario("intersection", 1)
+    seen = drive.tables["detections"]
+    half = seen.t_ns > drive.start_ns + 5_000_000_000
+    other = dataclasses.replace(seen, object_id=np.where(half, seen.object_id + 40, seen.object_id))
+    found = track_objects(drive.with_tables(detections=other), "test")
+    assert found.tracks == 3
+
+
+def test_two_objects_of_one_node_are_never_one_track():
+    drive = scenario("two-nodes", 0)
+    for epoch in track_objects(drive, "test").epochs:
+        for node in (0, 1):
+            mine = epoch.track[epoch.node == node]
+            assert len(np.unique(mine)) == len(mine)
+
+
 def test_fusing_is_better_than_either_alone():
     better = []
     for seed in range(6):
