@@ -11,11 +11,14 @@ from pathlib import Path
 from fgloc.datasets.columns import Columns, Layout
 from fgloc.datasets.drive_tables import (
     LAYOUTS,
+    OBJECTS,
     detections_from_columns,
     gnss_from_columns,
     imu_from_columns,
+    objects_from_columns,
     odometry_from_columns,
     origin_from_first_fix,
+    relative_from_columns,
     steering_from_columns,
     table_to_columns,
     velocity_from_columns,
@@ -37,10 +40,11 @@ from fgloc.drive import Drive
 from fgloc.errors import DriveError, InputError, nearest
 from fgloc.frames import Origin
 from fgloc.infrastructure import Infrastructure
-from fgloc.measurements import Table
+from fgloc.measurements import ObjectTruth, Table
 from fgloc.trajectory import Trajectory
 
-_STEMS = (*LAYOUTS, "truth")
+_OTHER_LAYOUTS = {"truth": TRUTH, "objects": OBJECTS}
+_STEMS = (*LAYOUTS, *_OTHER_LAYOUTS)
 _SUFFIXES = (".csv", ".parquet")
 
 
@@ -75,6 +79,7 @@ def read_drive(folder: str | Path) -> Drive:
         _truth(folder, about, files, columns, origin),
         to_about(about.about),
         infrastructure,
+        _objects(files, columns),
     )
 
 
@@ -113,7 +118,13 @@ def salvage_drive(folder: str | Path) -> tuple[Drive | None, dict[str, InputErro
     if "truth" not in faults:
         with _kept(faults, "truth"):
             truth = _truth(folder, about, files, columns, origin)
-    drive = Drive(about.name, origin, rig, tables, truth, to_about(about.about), infrastructure)
+    objects = None
+    if "objects" not in faults:
+        with _kept(faults, "objects"):
+            objects = _objects(files, columns)
+    drive = Drive(
+        about.name, origin, rig, tables, truth, to_about(about.about), infrastructure, objects
+    )
     return (drive if tables else None), faults
 
 
@@ -161,6 +172,8 @@ def _contents(drive: Drive) -> dict[str, Columns]:
         if not len(table):
             raise DriveError(f"drive {drive.name!r}: table {name} has no rows; leave it out")
         contents[name] = table_to_columns(table)
+    if drive.objects is not None:
+        contents["objects"] = table_to_columns(drive.objects)
     if drive.truth is not None:
         contents["truth"] = trajectory_to_columns(drive.truth, exact_attitude=True)
     return contents
@@ -215,7 +228,7 @@ def _table_files(folder: Path) -> dict[str, Path]:
 
 
 def _layout(stem: str) -> Layout:
-    return LAYOUTS.get(stem, TRUTH)
+    return {**LAYOUTS, **_OTHER_LAYOUTS}[stem]
 
 
 def _origin(
@@ -238,8 +251,15 @@ def _table(
     readers = {
         "imu": imu_from_columns, "wheel": wheel_from_columns, "steering": steering_from_columns,
         "odometry": odometry_from_columns, "velocity": velocity_from_columns,
+        "relative": relative_from_columns,
     }  # fmt: skip
     return readers[stem](path, columns)
+
+
+def _objects(files: dict[str, Path], columns: dict[str, Columns]) -> ObjectTruth | None:
+    if "objects" not in files:
+        return None
+    return objects_from_columns(files["objects"], columns["objects"])
 
 
 def _truth(

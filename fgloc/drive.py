@@ -15,6 +15,7 @@ from fgloc.measurements import (
     GnssFixes,
     ImuSamples,
     NodeDetections,
+    ObjectTruth,
     Table,
     freeze,
 )
@@ -112,7 +113,10 @@ class About:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One recorded or simulated drive; `tables` maps the source's name to its table."""
+    """One recorded or simulated drive; `tables` maps the source's name to its table.
+
+    `truth` is of the vehicle, `objects` of other road users.
+    """
 
     name: str
     origin: Origin
@@ -121,6 +125,7 @@ class Drive:
     truth: Trajectory | None = None
     about: About = About()
     infrastructure: Infrastructure = field(default_factory=Infrastructure)
+    objects: ObjectTruth | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tables", MappingProxyType(dict(self.tables)))

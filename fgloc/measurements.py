@@ -226,10 +226,67 @@ class NodeDetections(Table):
     }  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class RelativeSightings(Table):
+    """Objects as the vehicle itself sees them, along its own axes.
+
+    object_id    (N,) the number that the vehicle gave the object; nodes have numbers of their own
+    kind         (N,) `UNKNOWN`, `VEHICLE` or `PEDESTRIAN`
+    p_veh_m      (N, 2) forward and left of the vehicle origin, m
+    cov_veh_m2   (N, 2, 2) its covariance in these axes
+    """
+
+    object_id: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    p_veh_m: Array
+    cov_veh_m2: Array
+
+    KIND = "relative"
+    WHOLE = frozenset({"object_id", "kind"})
+    SHAPES: ClassVar = {"object_id": (), "kind": (), "p_veh_m": (2,), "cov_veh_m2": (2, 2)}
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectTruth(Table):
+    """Where other road users really were; no measurement, and no estimator sees it.
+
+    object_id    (N,) number of the road user
+    p_world_m    (N, 2) its place, East and North, m
+    v_world_mps  (N, 2) its velocity
+    """
+
+    object_id: NDArray[np.int64]
+    p_world_m: Array
+    v_world_mps: Array
+
+    KIND = "objects"
+    WHOLE = frozenset({"object_id"})
+    SHAPES: ClassVar = {"object_id": (), "p_world_m": (2,), "v_world_mps": (2,)}
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectTracks(Table):
+    """What a method says of other road users.
+
+    track_id    (N,) number of the track, from 0 in the order of birth
+    state       (N, 4) East and North in m, velocity East and North in m/s
+    cov         (N, 4, 4) its covariance
+    """
+
+    track_id: NDArray[np.int64]
+    state: Array
+    cov: Array
+
+    KIND = "tracks"
+    WHOLE = frozenset({"track_id"})
+    SHAPES: ClassVar = {"track_id": (), "state": (4,), "cov": (4, 4)}
+
+
 TABLES: dict[str, type[Table]] = {
     cls.KIND: cls
     for cls in (
         GnssFixes, ImuSamples, WheelSpeeds, SteeringAngles, Odometry, EnuVelocities, NodeDetections,
+        RelativeSightings,
     )
 }  # fmt: skip
 """Every kind of table by its name, which is also the name of its source in a drive."""

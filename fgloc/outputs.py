@@ -17,6 +17,7 @@ from fgloc.drive import Drive
 from fgloc.errors import InputError
 from fgloc.evaluation import Judgement, judge, requirements
 from fgloc.evaluation.comparison import Comparison
+from fgloc.evaluation.objects import score_objects
 from fgloc.frames import Origin
 from fgloc.result import Event, Result
 from fgloc.timing import NS_PER_S
@@ -25,6 +26,7 @@ from fgloc.verdicts import SourceVerdicts, Verdicts
 
 TRAJECTORY, SMOOTHED = "trajectory", "trajectory_smoothed"
 SUMMARY, VERDICTS, CONFIG, REPORT = "summary.json", "verdicts.csv", "config.toml", "report.html"
+OBJECTS = "objects.csv"
 COMPARISON = "compare.json"
 VERDICT_COLUMNS = (
     "source", "t_ns", "received_ns", "verdict", "nis", "dof", "threshold", "reason",
@@ -35,7 +37,7 @@ ALSO = ("gpx", "kml")
 """Formats of the trajectory that are written where they are asked for."""
 FILES = (
     *(f"{stem}.{suffix}" for stem in (TRAJECTORY, SMOOTHED) for suffix in (*_SUFFIXES, *ALSO)),
-    SUMMARY, VERDICTS, CONFIG, REPORT,
+    SUMMARY, VERDICTS, CONFIG, REPORT, OBJECTS,
 )  # fmt: skip
 """Everything that a result folder may hold; these are replaced when it is written again."""
 
@@ -92,6 +94,10 @@ def write_result(
             _write_trajectory(folder, SMOOTHED, result.smoothed, drive, also)
         with (folder / VERDICTS).open("w", encoding="utf-8", newline="\n") as file:
             file.writelines(_verdict_lines(result.verdicts))
+        if result.objects is not None:
+            from fgloc.datasets.object_tracks import write_tracks
+
+            write_tracks(folder / OBJECTS, result.objects)
         _write_text(folder / CONFIG, format_config(drive, result))
         if report:
             _write_report(folder / REPORT, drive, result, judged)
@@ -173,6 +179,11 @@ def summarize(
     if judged is not None:
         summary |= {"score_from_s": score_from_s, "metrics": _plain_metrics(judged)}
         summary["requirements"] = requirements.as_dict(judged.requirements)
+    if drive.objects is not None and result.objects is not None:
+        found = score_objects(result.objects, drive.objects, drive.start_ns, score_from_s)
+        summary["metrics"] = summary.get("metrics", {}) | {
+            name: metric.to_dict() for name, metric in found.items()
+        }
     if drive.truth is not None and result.smoothed is not None:
         smoothed = judge(result, drive.truth, score_from_s=score_from_s, smoothed=True)
         summary["smoothed_metrics"] = _plain_metrics(smoothed)

@@ -11,6 +11,7 @@ from fgloc.measurements import (
     ImuSamples,
     NodeDetections,
     Odometry,
+    RelativeSightings,
     SteeringAngles,
     WheelSpeeds,
     freeze,
@@ -38,6 +39,7 @@ def test_every_kind_of_table_is_known_by_its_name():
     assert {
         "gnss": GnssFixes, "imu": ImuSamples, "wheel": WheelSpeeds, "steering": SteeringAngles,
         "odometry": Odometry, "velocity": EnuVelocities, "detections": NodeDetections,
+        "relative": RelativeSightings,
     } == TABLES  # fmt: skip
 
 

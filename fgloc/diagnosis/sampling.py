@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, robust_sigma, rows_of, warning
 from fgloc.drive import Drive
-from fgloc.measurements import Array, GnssFixes, ImuSamples, NodeDetections, Table
+from fgloc.measurements import (
+    Array,
+    GnssFixes,
+    ImuSamples,
+    NodeDetections,
+    RelativeSightings,
+    Table,
+)
 from fgloc.timing import NS_PER_S
 
 SLOWEST_HZ = {"gnss": 0.1, "imu": 20.0, "wheel": 1.0}
@@ -33,10 +40,14 @@ _DAY_S = 86_400.0
 
 def check_rows(drive: Drive) -> Iterator[Finding]:
     """What there is at all: tables, and rows in them."""
-    if "gnss" not in drive.tables:
+    # Where nodes see several road users, the graph needs neither fixes nor an IMU of the car.
+    of_many = NodeDetections.KIND in drive.tables and (
+        drive.objects is not None or RelativeSightings.KIND in drive.tables
+    )
+    if "gnss" not in drive.tables and not of_many:
         yield fault("no-table", "gnss", "the drive has no gnss table",
                     "add gnss.csv: the graph needs fixes")  # fmt: skip
-    if "imu" not in drive.tables:
+    if "imu" not in drive.tables and not of_many:
         yield remark(
             "no-table", "imu",
             "the drive has no imu table: odometry, steering or the model of a steady velocity "
@@ -108,10 +119,10 @@ def check_gaps(drive: Drive) -> Iterator[Finding]:
 
 
 def check_duplicates(drive: Drive) -> Iterator[Finding]:
-    """Rows of an instant that another row has told of already; a node's frame has many objects."""
+    """Rows of an instant that another has told of already; what sees many objects is let be."""
     for name, table in drive.tables.items():
         repeats = np.flatnonzero(np.diff(table.t_ns) == 0) + 1
-        if len(repeats) and not isinstance(table, NodeDetections):
+        if len(repeats) and not isinstance(table, NodeDetections | RelativeSightings):
             yield warning(
                 "duplicate",
                 name,

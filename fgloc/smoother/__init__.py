@@ -2,7 +2,7 @@
 
 import platform
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeVar
 
@@ -11,6 +11,7 @@ from fgloc.drive import Drive
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
+from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
 from fgloc.smoother.roadside import roadside
 from fgloc.sync import plan
@@ -42,7 +43,10 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
     """
     began = time.perf_counter()
     run = _batch if config.mode == "batch" else _online
-    result = run(drive, config)
+    if is_cooperative(drive):
+        result = replace(run_cooperative(drive, config), config=_provenance(config))
+    else:
+        result = run(drive, config)
     wall_s = time.perf_counter() - began
     duration_s = result.summary["duration_s"]
     result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
