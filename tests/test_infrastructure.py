@@ -9,7 +9,7 @@ from fgloc.datasets.drive_folder import read_drive
 from fgloc.drive import Drive, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.infrastructure import Infrastructure, Node
+from fgloc.infrastructure import Infrastructure, Node, Post
 from fgloc.measurements import NodeDetections
 
 TOML = """format = 1
@@ -78,6 +78,41 @@ def test_two_nodes_of_one_name_are_refused(tmp_path):
 def test_a_node_of_impossible_numbers_is_refused(part, says):
     with pytest.raises(DriveError, match=says):
         Node(**{"name": "pole", "p_world_m": np.zeros(3)} | part)
+
+
+POST = """[[post]]
+node = "pole"
+height_m = 10
+frequency_hz = 1.97
+damping = 0.05
+modal_mass_kg = 20
+tip_slope_per_m = 0.138
+load_sigma_n = 250
+load_tau_s = 0.3
+"""
+
+
+def test_a_post_is_found_by_the_number_of_its_node(tmp_path):
+    other = '[[node]]\nname = "wall"\np_world_m = [0, 0, 4]\n'
+    posts = read_drive(write(tmp_path, SEEN, TOML + other + POST)).infrastructure
+    assert posts.post_of(0).frequency_hz == 1.97
+    assert posts.post_of(1) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "by", "says"),
+    [('node = "pole"', 'node = "pile"', "no node named 'pile'; add it as"),
+     ("damping = 0.05", "damping = 5", "damping"),
+     ("height_m = 10", "height_m = 0", "height_m")],
+)  # fmt: skip
+def test_a_post_that_cannot_be_is_refused(tmp_path, line, by, says):
+    with pytest.raises(DriveError, match=says):
+        read_drive(write(tmp_path, SEEN, TOML + POST.replace(line, by)))
+
+
+def test_a_post_damped_in_per_cent_is_asked_about():
+    with pytest.raises(DriveError, match="damping = 5: expected a ratio below 1; is it in per"):
+        Post("pole", 10, 1.97, 5, 20, 0.138, 250, 0.3)
 
 
 def test_a_drive_in_memory_knows_the_nodes_of_its_detections():

@@ -12,7 +12,7 @@ from fgloc.datasets.drive_tables import check_covariances
 from fgloc.drive import Drive, GnssBias, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.infrastructure import Infrastructure, Node
+from fgloc.infrastructure import Infrastructure, Node, Post
 from fgloc.measurements import (
     EnuVelocities,
     GnssFixes,
@@ -67,6 +67,7 @@ def assert_same(a: Drive, b: Drive) -> None:
     for one, other in zip(a.infrastructure.nodes, b.infrastructure.nodes, strict=True):
         assert one.p_world_m.tobytes() == other.p_world_m.tobytes()
         assert {**vars(one), "p_world_m": 0} == {**vars(other), "p_world_m": 0}
+    assert a.infrastructure.posts == b.infrastructure.posts
     assert list(a.tables) == list(b.tables)
     assert all(a.tables[name].same_as(b.tables[name]) for name in a.tables)
     assert (a.truth is None and b.truth is None) or a.truth.same_as(b.truth)
@@ -103,7 +104,8 @@ def full_drive() -> Drive:
 
 def two_nodes() -> Infrastructure:
     return Infrastructure(
-        (Node("north", np.array([7.13, 62.19, 6.0]), 0.3), Node("s", np.zeros(3), -2, 0.1, 0.01))
+        (Node("north", np.array([7.13, 62.19, 6.0]), 0.3), Node("s", np.zeros(3), -2, 0.1, 0.01)),
+        (Post("s", 10.0, 1.97, 0.05, 20.1, 0.138, 250.0, 0.3),),
     )
 
 
