@@ -32,15 +32,19 @@ from fgloc.datasets.drive_toml import (
     to_rig,
 )
 from fgloc.datasets.parquet_table import read_table, write_table
+from fgloc.datasets.post_columns import TRUTH as POST_TRUTH
+from fgloc.datasets.post_columns import poses_from_columns, truth_columns, truth_from_columns
 from fgloc.datasets.trajectory_columns import TRUTH, trajectory_from_columns, trajectory_to_columns
 from fgloc.drive import Drive
 from fgloc.errors import DriveError, InputError, nearest
 from fgloc.frames import Origin
 from fgloc.infrastructure import Infrastructure
 from fgloc.measurements import Table
+from fgloc.posts import PostStates
 from fgloc.trajectory import Trajectory
 
-_STEMS = (*LAYOUTS, "truth")
+_TRUTHS = {"truth": TRUTH, "post_truth": POST_TRUTH}
+_STEMS = (*LAYOUTS, *_TRUTHS)
 _SUFFIXES = (".csv", ".parquet")
 
 
@@ -75,6 +79,7 @@ def read_drive(folder: str | Path) -> Drive:
         _truth(folder, about, files, columns, origin),
         to_about(about.about),
         infrastructure,
+        _post_truth(files, columns, infrastructure),
     )
 
 
@@ -113,7 +118,13 @@ def salvage_drive(folder: str | Path) -> tuple[Drive | None, dict[str, InputErro
     if "truth" not in faults:
         with _kept(faults, "truth"):
             truth = _truth(folder, about, files, columns, origin)
-    drive = Drive(about.name, origin, rig, tables, truth, to_about(about.about), infrastructure)
+    post_truth = None
+    if "post_truth" not in faults:
+        with _kept(faults, "post_truth"):
+            post_truth = _post_truth(files, columns, infrastructure)
+    drive = Drive(
+        about.name, origin, rig, tables, truth, to_about(about.about), infrastructure, post_truth
+    )
     return (drive if tables else None), faults
 
 
@@ -163,6 +174,8 @@ def _contents(drive: Drive) -> dict[str, Columns]:
         contents[name] = table_to_columns(table)
     if drive.truth is not None:
         contents["truth"] = trajectory_to_columns(drive.truth, exact_attitude=True)
+    if drive.post_truth is not None:
+        contents["post_truth"] = truth_columns(drive.post_truth)
     return contents
 
 
@@ -215,7 +228,7 @@ def _table_files(folder: Path) -> dict[str, Path]:
 
 
 def _layout(stem: str) -> Layout:
-    return LAYOUTS.get(stem, TRUTH)
+    return LAYOUTS.get(stem) or _TRUTHS[stem]
 
 
 def _origin(
@@ -235,6 +248,8 @@ def _table(
         return gnss_from_columns(path, columns, origin)
     if stem == "detections":
         return detections_from_columns(path, columns, infrastructure)
+    if stem == "node_poses":
+        return poses_from_columns(path, columns, infrastructure)
     readers = {
         "imu": imu_from_columns, "wheel": wheel_from_columns, "steering": steering_from_columns,
         "odometry": odometry_from_columns, "velocity": velocity_from_columns,
@@ -257,3 +272,11 @@ def _truth(
         return None
     point = about.truth.p_veh_point_m if about.truth else (0, 0, 0)
     return trajectory_from_columns(files["truth"], columns["truth"], point, origin)
+
+
+def _post_truth(
+    files: dict[str, Path], columns: dict[str, Columns], infrastructure: Infrastructure
+) -> PostStates | None:
+    if "post_truth" not in files:
+        return None
+    return truth_from_columns(files["post_truth"], columns["post_truth"], infrastructure)

@@ -39,6 +39,15 @@ _INFOS = (
         "plain simulated drive: GNSS 10 Hz, IMU 100 Hz, wheel speed 50 Hz; option duration_s",
     ),
     DatasetInfo(
+        "khamooshi2023/sway-low", "scenario", 60.0, ("node_poses",), "MIT",
+        "a node on a post that sways at 0.5 and 1 Hz, poses 10 Hz; options duration_s, wind, "
+        "tilt_noise",
+    ),
+    DatasetInfo(
+        "khamooshi2023/sway-high", "scenario", 60.0, ("node_poses",), "MIT",
+        "the same under a load at 1, 3 and 10 Hz, faster than the poses can show",
+    ),
+    DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
     ),
@@ -87,7 +96,11 @@ _IMPORTERS = {
 }
 """Module and function of each format."""
 
-_SCENARIOS = {"city": "city.make_city"}
+_SCENARIOS = {
+    "city": "city.make_city",
+    "khamooshi2023/sway-low": "khamooshi2023_sway.make_sway_low",
+    "khamooshi2023/sway-high": "khamooshi2023_sway.make_sway_high",
+}
 """Module and function of each scenario."""
 
 _WITHOUT_FOLDER = {"kitti"}

@@ -18,7 +18,7 @@ sign of the displacement; here roll and pitch turn right-handed about the node's
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -133,9 +133,10 @@ def linear_factor(blocks: dict[int, Array], z: Array) -> gtsam.LinearContainerFa
     zero = gtsam.Values()
     for key, J in blocks.items():
         zero.insert(key, np.zeros(J.shape[1]))
-    terms: list[Any] = [part for pair in blocks.items() for part in pair]
+    terms = [part for pair in blocks.items() for part in pair]
     model = gtsam.noiseModel.Unit.Create(len(z))
-    return gtsam.LinearContainerFactor(gtsam.JacobianFactor(*terms, z, model), zero)
+    row = gtsam.JacobianFactor(*terms, z, model)  # type: ignore[call-overload]
+    return gtsam.LinearContainerFactor(row, zero)
 
 
 def _numbers(post: Post) -> tuple[float, float, float, float]:
@@ -169,5 +170,4 @@ def _whitened_step(post: Post, dt_s: float) -> tuple[Array, Array]:
 
 def _twice(block: Array) -> Array:
     """The same for either axis."""
-    both: Array = np.kron(np.eye(2), block)
-    return both
+    return np.asarray(np.kron(np.eye(2), block), np.float64)

@@ -15,9 +15,11 @@ from fgloc.measurements import (
     GnssFixes,
     ImuSamples,
     NodeDetections,
+    NodePoses,
     Table,
     freeze,
 )
+from fgloc.posts import PostStates
 from fgloc.trajectory import Trajectory
 
 T = TypeVar("T", bound=Table)
@@ -96,7 +98,10 @@ class About:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One recorded or simulated drive; `tables` maps the source's name to its table."""
+    """One recorded or simulated drive; `tables` maps the source's name to its table.
+
+    `truth` is that of the vehicle, `post_truth` tells how the posts beside the road swayed.
+    """
 
     name: str
     origin: Origin
@@ -105,15 +110,16 @@ class Drive:
     truth: Trajectory | None = None
     about: About = About()
     infrastructure: Infrastructure = field(default_factory=Infrastructure)
+    post_truth: PostStates | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tables", MappingProxyType(dict(self.tables)))
-        for table in self.tables.values():
-            if isinstance(table, NodeDetections):
+        for table in (*self.tables.values(), self.post_truth):
+            if isinstance(table, NodeDetections | NodePoses | PostStates):
                 self._check_nodes(table)
 
-    def _check_nodes(self, table: NodeDetections) -> None:
-        """Every detection is of a node that the infrastructure has."""
+    def _check_nodes(self, table: NodeDetections | NodePoses | PostStates) -> None:
+        """Every row is of a node that the infrastructure has."""
         have = len(self.infrastructure.nodes)
         unknown = (table.node < 0) | (table.node >= have)
         if unknown.any():

@@ -17,6 +17,7 @@ SURFACE = {
     "load", "make", "smooth", "baseline", "score", "compare", "doctor", "tune", "Finding",
     "Drive", "Rig", "ImuNoise", "About", "Origin", "GnssFixes", "ImuSamples", "WheelSpeeds",
     "SteeringAngles", "Tuning", "EnuVelocities", "Odometry", "NodeDetections", "Node",
+    "NodePoses", "Post", "PostStates",
     "Infrastructure", "GnssBias",
     "Trajectory", "Result", "Event", "Verdict", "SourceVerdicts", "Metric", "Method", "Comparison",
     "SmoothConfig", "FglocError", "InputError", "DriveError", "ConfigError", "SolverError",

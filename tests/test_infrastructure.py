@@ -120,3 +120,36 @@ def test_a_drive_in_memory_knows_the_nodes_of_its_detections():
     with pytest.raises(DriveError, match="node = 2, but the drive has 1 nodes"):
         Drive("d", Origin(42, -83, 0), Rig(), {"detections": seen}, None,
               infrastructure=Infrastructure((Node("pole", np.zeros(3)),)))  # fmt: skip
+
+
+POSES = "t_ns,node,x_m,y_m,sigma_x_m,sigma_y_m"
+TILTS = ",roll_rad,pitch_rad,sigma_roll_rad,sigma_pitch_rad"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (f"{POSES}\n1,3,0,0,1,1\n", r"node_poses.csv:2: node = 3, but drive.toml has 1 \[\[node"),
+        (f"{POSES}\n1,0,0,0,1,1\n2,0,0,0,1,0\n", r"node_poses.csv:3: sigma_y_m = 0.0; a standard"),
+        (f"{POSES}{TILTS}\n1,0,0,0,1,1,0,0,,1\n", "of roll_rad and sigma_roll_rad one is empty"),
+        (f"{POSES}{TILTS}\n1,0,0,0,1,1,0,0,1,-1\n", "sigma_pitch_rad = -1.0; a standard"),
+    ],
+)
+def test_a_pose_of_a_node_that_cannot_be_names_its_row(tmp_path, text, says):
+    (tmp_path / "node_poses.csv").write_text(text)
+    with pytest.raises(DriveError, match=says):
+        read_drive(write(tmp_path, SEEN))
+
+
+def test_a_pose_need_not_tell_angles(tmp_path):
+    (tmp_path / "node_poses.csv").write_text(f"{POSES}\n1,0,0.1,0.2,1,1\n")
+    poses = read_drive(write(tmp_path, SEEN)).tables["node_poses"]
+    np.testing.assert_array_equal(poses.p_node_m, [[0.1, 0.2]])
+    assert np.isnan(poses.tilt_rad).all()
+
+
+def test_the_truth_of_a_post_is_of_a_node_that_is_there(tmp_path):
+    header = "t_ns,node,x_m,y_m,vx_mps,vy_mps,roll_rad,pitch_rad\n"
+    (tmp_path / "post_truth.csv").write_text(header + "1,0,0,0,0,0,0,0\n2,1,0,0,0,0,0,0\n")
+    with pytest.raises(DriveError, match=r"post_truth.csv:3: node = 1, but drive.toml has 1"):
+        read_drive(write(tmp_path, SEEN))

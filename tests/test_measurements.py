@@ -10,6 +10,7 @@ from fgloc.measurements import (
     GnssFixes,
     ImuSamples,
     NodeDetections,
+    NodePoses,
     Odometry,
     SteeringAngles,
     WheelSpeeds,
@@ -38,6 +39,7 @@ def test_every_kind_of_table_is_known_by_its_name():
     assert {
         "gnss": GnssFixes, "imu": ImuSamples, "wheel": WheelSpeeds, "steering": SteeringAngles,
         "odometry": Odometry, "velocity": EnuVelocities, "detections": NodeDetections,
+        "node_poses": NodePoses,
     } == TABLES  # fmt: skip
 
 
