@@ -6,10 +6,9 @@ oscillator that a load drives, and the load forgets itself (Ornstein-Uhlenbeck):
     x'' = -w^2 x - 2 xi w x' + a,   a' = -a / tau + n,   E[a^2] = s^2
 
 State of a post (6,): x, x', a along the node's x axis, then the same along y; a is the load over
-the modal mass, m/s^2. Sampling is exact for any step: transition and noise come from one matrix
-exponential (Van Loan, IEEE TAC 23(3), 1978). The tip tilts with its displacement: where it moves
-to +x it leans to +x, a positive turn about y (pitch); where it moves to +y, a negative one about x
-(roll).
+the modal mass, m/s^2. Sampling is exact for any step, by matrix exponentials. The tip tilts with
+its displacement: where it moves to +x it leans to +x, a positive turn about y (pitch); where it
+moves to +y, a negative one about x (roll).
 
 # Differs from the paper: it has no model of the load, observes around it, and gives both angles the
 sign of the displacement; here roll and pitch turn right-handed about the node's x and y axes.
@@ -17,7 +16,7 @@ sign of the displacement; here roll and pitch turn right-handed about the node's
 
 from __future__ import annotations
 
-from functools import cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,6 +29,10 @@ if TYPE_CHECKING:
 
 POSITION, VELOCITY, LOAD = [0, 3], [1, 4], [2, 5]
 """Where the state has displacement, velocity and load, each along x and y."""
+
+_LONG, _NODES = 5.0, 24
+"""A step is long where the fastest part of the motion turns by more rad; below, so many nodes are
+exact to rounding."""
 
 
 class Step(NamedTuple):
@@ -46,16 +49,22 @@ def oscillator(frequency_hz: float, damping: float) -> Array:
 
 
 def sampled(A: Array, density: Array, dt_s: float) -> Step:
-    """x' = A x + white noise of this spectral density (n, n), exactly over `dt_s`. (Van Loan)"""
+    """x' = A x + white noise of this spectral density (n, n), A stable, exactly over `dt_s`.
+
+    The noise is the integral of e^(As) density e^(A's): by Gauss's quadrature over a short step,
+    which keeps it positive however short, and over a long one as what the spread of all times
+    lacks after the step.
+    """
     from scipy.linalg import expm
 
-    n = len(A)
-    block = np.zeros((2 * n, 2 * n))
-    block[:n, :n], block[:n, n:], block[n:, n:] = -A, density, A.T
-    exponential = expm(block * dt_s)
-    transition = exponential[n:, n:].T
-    noise = transition @ exponential[:n, n:]
-    return Step(transition, (noise + noise.T) / 2)
+    transition = expm(A * dt_s)
+    if np.abs(np.linalg.eigvals(A)).max() * dt_s > _LONG:
+        spread = _spread(A, density)
+        return Step(transition, _even(spread - transition @ spread @ transition.T))
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    grown = expm(A * (dt_s * (nodes + 1) / 2)[:, None, None])
+    parts = (dt_s * weights / 2)[:, None, None] * (grown @ density @ grown.swapaxes(-1, -2))
+    return Step(transition, _even(parts.sum(0)))
 
 
 def white_load_step(frequency_hz: float, damping: float, density_m2ps3: float, dt_s: float) -> Step:
@@ -71,16 +80,17 @@ def axis_step(post: Post, dt_s: float) -> Step:
 
 def axis_spread(post: Post) -> Array:
     """Covariance (3, 3) of one axis that the wind has driven for long."""
-    from scipy.linalg import solve_continuous_lyapunov
-
-    A, density = _axis(*_numbers(post))
-    spread: Array = solve_continuous_lyapunov(A, -density)
-    return (spread + spread.T) / 2
+    return _spread(*_axis(*_numbers(post)))
 
 
 def post_step(post: Post, dt_s: float) -> Step:
     """Both axes, (6, 6)."""
     return Step(*(_twice(part) for part in axis_step(post, dt_s)))
+
+
+def post_spread(post: Post) -> Array:
+    """Both axes, (6, 6)."""
+    return _twice(axis_spread(post))
 
 
 def tilt_rad(p_node_m: Array, tip_slope_per_m: float) -> Array:
@@ -106,7 +116,7 @@ def pose_residual(states: Array, p_node_m: Array, tilt: Array, tip_slope_per_m: 
 
 def rest_factor(key: int, post: Post) -> gtsam.LinearContainerFactor:
     """What is known of the first state: the wind has blown for long."""
-    root = np.linalg.inv(np.linalg.cholesky(_twice(axis_spread(post))))
+    root = np.linalg.inv(np.linalg.cholesky(post_spread(post)))
     return linear_factor({key: root}, np.zeros(6))
 
 
@@ -154,11 +164,23 @@ def _axis(
     return A, np.diag([0.0, 0.0, 2 * sigma_mps2**2 / tau_s])
 
 
-@cache
+@lru_cache(maxsize=1024)
 def _axis_step(
     frequency_hz: float, damping: float, sigma_mps2: float, tau_s: float, dt_s: float
 ) -> Step:
     return sampled(*_axis(frequency_hz, damping, sigma_mps2, tau_s), dt_s)
+
+
+def _spread(A: Array, density: Array) -> Array:
+    """Covariance of x' = A x + noise that has gone on for long."""
+    from scipy.linalg import solve_continuous_lyapunov
+
+    return _even(solve_continuous_lyapunov(A, -density))
+
+
+def _even(covariance: Array) -> Array:
+    """Without the asymmetry of rounding."""
+    return (covariance + covariance.T) / 2
 
 
 def _whitened_step(post: Post, dt_s: float) -> tuple[Array, Array]:

@@ -140,6 +140,11 @@ class Drive:
         return self._table("imu", ImuSamples)
 
     @property
+    def has_vehicle(self) -> bool:
+        """Whether any table tells of a vehicle; poses of nodes alone do not."""
+        return set(self.tables) != {NodePoses.KIND}
+
+    @property
     def start_ns(self) -> int:
         """The first instant of any table; raises DriveError where no table has rows."""
         return min(int(t.t_ns[0]) for t in self._filled())

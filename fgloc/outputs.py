@@ -12,9 +12,12 @@ import numpy as np
 
 from fgloc.drive import Drive
 from fgloc.errors import InputError
-from fgloc.evaluation import Judgement, judge, requirements
+from fgloc.evaluation import Judgement, judge, requirements, score_posts
 from fgloc.evaluation.comparison import Comparison
+from fgloc.evaluation.metric import Metric
 from fgloc.frames import Origin
+from fgloc.measurements import Array
+from fgloc.posts import PostStates
 from fgloc.result import Event, Result
 from fgloc.timing import NS_PER_S
 from fgloc.trajectory import Trajectory
@@ -22,16 +25,24 @@ from fgloc.verdicts import SourceVerdicts, Verdicts
 
 TRAJECTORY, SMOOTHED = "trajectory", "trajectory_smoothed"
 SUMMARY, VERDICTS, CONFIG, REPORT = "summary.json", "verdicts.csv", "config.toml", "report.html"
-COMPARISON = "compare.json"
+COMPARISON, POSTS = "compare.json", "posts.csv"
 VERDICT_COLUMNS = (
     "source", "t_ns", "received_ns", "verdict", "nis", "dof", "threshold", "reason",
 )  # fmt: skip
+POST_COLUMNS = {
+    "x_m": ("p_node_m", 0), "vx_mps": ("v_node_mps", 0), "y_m": ("p_node_m", 1),
+    "vy_mps": ("v_node_mps", 1), "roll_rad": ("tilt_rad", 0), "pitch_rad": ("tilt_rad", 1),
+    "sigma_x_m": ("sigma_p_m", 0), "sigma_vx_mps": ("sigma_v_mps", 0),
+    "sigma_y_m": ("sigma_p_m", 1), "sigma_vy_mps": ("sigma_v_mps", 1),
+    "sigma_roll_rad": ("sigma_tilt_rad", 0), "sigma_pitch_rad": ("sigma_tilt_rad", 1),
+}  # fmt: skip
+"""Columns of `posts.csv` after node and time, each from a column of the table."""
 _SUFFIXES = ("tum", "csv", "geojson")
 ALSO = ("gpx", "kml")
 """Formats of the trajectory that are written where they are asked for."""
 FILES = (
     *(f"{stem}.{suffix}" for stem in (TRAJECTORY, SMOOTHED) for suffix in (*_SUFFIXES, *ALSO)),
-    SUMMARY, VERDICTS, CONFIG, REPORT,
+    SUMMARY, VERDICTS, CONFIG, REPORT, POSTS,
 )  # fmt: skip
 """Everything that a result folder may hold; these are replaced when it is written again."""
 
@@ -83,7 +94,10 @@ def write_result(
     summary = summarize(drive, result, judged, score_from_s)
     with _writing(folder):
         _clear(folder)
-        _write_trajectory(folder, TRAJECTORY, result.trajectory, drive, also)
+        if len(result.trajectory):
+            _write_trajectory(folder, TRAJECTORY, result.trajectory, drive, also)
+        if result.posts is not None:
+            _write_text(folder / POSTS, format_posts(result.posts, drive))
         if result.smoothed is not None:
             _write_trajectory(folder, SMOOTHED, result.smoothed, drive, also)
         _write_text(folder / VERDICTS, format_verdicts(result.verdicts))
@@ -165,12 +179,15 @@ def summarize(
         "origin": vars(drive.origin),
         "events": [_event(event, drive.start_ns) for event in result.events],
     }
+    metrics = score_posts(result.posts, drive, score_from_s=score_from_s)
     if judged is not None:
-        summary |= {"score_from_s": score_from_s, "metrics": _plain_metrics(judged)}
+        metrics |= judged.metrics
         summary["requirements"] = requirements.as_dict(judged.requirements)
+    if metrics:
+        summary |= {"score_from_s": score_from_s, "metrics": _plain(metrics)}
     if drive.truth is not None and result.smoothed is not None:
         smoothed = judge(result, drive.truth, score_from_s=score_from_s, smoothed=True)
-        summary["smoothed_metrics"] = _plain_metrics(smoothed)
+        summary["smoothed_metrics"] = _plain(smoothed.metrics)
         summary["smoothed_requirements"] = requirements.as_dict(smoothed.requirements)
     clean: dict[str, Any] = jsonable(summary)
     return clean
@@ -180,6 +197,21 @@ def format_verdicts(verdicts: Verdicts) -> str:
     """The text of `verdicts.csv`: one row per measurement, source by source; NaN is left empty."""
     rows = [row for table in verdicts.values() for row in _verdict_rows(table)]
     return ",".join(VERDICT_COLUMNS) + "\n" + "".join(rows)
+
+
+def format_posts(posts: PostStates, drive: Drive) -> str:
+    """The text of `posts.csv`: the node's name, then the state; a sigma that is not told is empty.
+
+    Displacements in m along the node's level axes, velocities, roll and pitch in rad.
+    """
+    names = [node.name for node in drive.infrastructure.nodes]
+    columns: list[Array] = [getattr(posts, name)[:, k] for name, k in POST_COLUMNS.values()]
+    numbers = np.stack(columns, -1).tolist()
+    lines = (
+        f"{_cell(names[node])},{t},{','.join(map(_number, row))}\n"
+        for node, t, row in zip(posts.node.tolist(), posts.t_ns.tolist(), numbers, strict=True)
+    )
+    return ",".join(["node", "t_ns", *POST_COLUMNS]) + "\n" + "".join(lines)
 
 
 def format_config(drive: Drive, result: Result) -> str:
@@ -262,8 +294,8 @@ def _event(event: Event, start_ns: int) -> dict[str, Any]:
     return {"t_ns": event.t_ns, "t_s": t_s, "kind": event.kind, "text": event.text}
 
 
-def _plain_metrics(judged: Judgement) -> dict[str, Any]:
-    return {name: metric.to_dict() for name, metric in judged.metrics.items()}
+def _plain(metrics: Mapping[str, Metric]) -> dict[str, Any]:
+    return {name: metric.to_dict() for name, metric in metrics.items()}
 
 
 def _verdict_rows(table: SourceVerdicts) -> list[str]:

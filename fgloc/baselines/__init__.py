@@ -13,7 +13,12 @@ from fgloc.result import Result
 
 __all__ = ["RAW", "available", "check", "run"]
 
-_METHODS: dict[str, str] = {}
+_METHODS: dict[str, str] = {
+    "khamooshi2023-uio": "khamooshi2023_uio.run_kinematic",
+    "khamooshi2023-uio-printed": "khamooshi2023_uio.run_printed",
+    "sway-kf": "sway_kf.run_sway_kf",
+    "raw:node_poses": "raw_poses.run_raw_poses",
+}
 """Module and function of each method: from a drive to its result, `summary` without wall time."""
 
 RAW = "raw:"
@@ -58,7 +63,7 @@ def run(drive: Drive, method: str) -> Result:
 
 def _method(name: str) -> Callable[[Drive], Result]:
     """The function behind a method's name."""
-    if name.startswith(RAW):
+    if name.startswith(RAW) and name not in _METHODS:
         from fgloc.baselines.raw import run_raw
 
         return lambda drive: run_raw(drive, name.removeprefix(RAW))

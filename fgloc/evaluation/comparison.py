@@ -13,6 +13,7 @@ from fgloc.evaluation.against_truth import Errors
 from fgloc.evaluation.bootstrap import paired_difference
 from fgloc.evaluation.judgement import judge
 from fgloc.evaluation.metric import Metric
+from fgloc.evaluation.posts import score_posts
 from fgloc.evaluation.requirements import Requirement, as_dict
 from fgloc.result import Result
 from fgloc.trajectory import Trajectory
@@ -204,8 +205,10 @@ def _row(
         wall_s = time.perf_counter() - began
         return Row(drive.name, seed, method.name, wall_s=wall_s, failed=str(err)), None
     known: dict[str, Any] = {"summary": result.summary, "config": result.config, "wall_s": wall_s}
+    known["metrics"] = score_posts(result.posts, drive, score_from_s=score_from_s)
     if judged is not None:
-        known |= {"metrics": judged.metrics, "requirements": judged.requirements}
+        known["metrics"] |= judged.metrics
+        known["requirements"] = judged.requirements
         known["difference"] = None if first is None else _difference(judged.errors, first)
     row = Row(drive.name, seed, method.name, result.causal, **known)
     return row, (result.trajectory, None if judged is None else judged.errors)

@@ -82,6 +82,15 @@ def test_white_wind_gives_the_spread_of_the_textbook():
     np.testing.assert_allclose(np.diag(long), [3 / (0.2 * w**3), 3 / (0.2 * w)], rtol=1e-6)
 
 
+@pytest.mark.parametrize("dt_s", [1e-9, 1e-4, 0.1, 0.4, 0.5, 3600.0])
+def test_the_noise_is_positive_over_any_step(dt_s):
+    noise = model.axis_step(POST, dt_s).noise
+    np.linalg.cholesky(noise / np.sqrt(np.outer(np.diag(noise), np.diag(noise))))
+    # Over a short step the load alone is driven: 2 s^2 dt / tau.
+    if dt_s < 1e-3:
+        assert noise[2, 2] == pytest.approx(2 * 10**2 * dt_s / 0.5, rel=1e-3)
+
+
 @given(st.floats(0.001, 1), st.floats(0.001, 1))
 def test_two_steps_are_one(first_s, second_s):
     a, b = model.axis_step(POST, first_s), model.axis_step(POST, second_s)
