@@ -85,6 +85,7 @@ class NodePart(_Part):
     range_m: float = Field(default=Node.range_m, ge=0)
     bias_sigma_m: float = Field(default=Node.bias_sigma_m, ge=0)
     bias_tau_s: float = Field(default=Node.bias_tau_s, gt=0)
+    sensor: Literal["camera", "lidar"] = Node.sensor
 
 
 class PostPart(_Part):

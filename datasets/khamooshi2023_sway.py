@@ -28,7 +28,7 @@ from fgloc.frames import Origin
 from fgloc.infrastructure import Infrastructure, Node, Post
 from fgloc.measurements import Array, NodePoses
 from fgloc.posts import PostStates
-from fgloc.timing import NS_PER_S
+from fgloc.timing import NS_PER_S, Instants
 
 START_NS = 1_760_000_000 * NS_PER_S
 ORIGIN = Origin(43.4723, -80.5449, 330.0)
@@ -47,7 +47,7 @@ MEDIAN_MAX_OF_600 = 3.25
 
 
 @dataclass(frozen=True)
-class _Case:
+class Case:
     """One wind of the paper: the frequencies of the load, the largest errors of the estimates
     alone along x and y, and what the drive states of the load: its sigma and memory."""
 
@@ -57,10 +57,10 @@ class _Case:
 
 
 # What is stated of the loads is what makes the poses of seeds 100 to 102 likeliest.
-LOW = _Case((0.5, 1.0), (0.04, 0.06), (170.0, 0.5))
-HIGH = _Case((1.0, 3.0, 10.0), (0.03, 0.07), (250.0, 0.05))
+LOW = Case((0.5, 1.0), (0.04, 0.06), (170.0, 0.5))
+HIGH = Case((1.0, 3.0, 10.0), (0.03, 0.07), (250.0, 0.05))
 GUSTS_N_S = (90.0, 0.7)
-_WINDS = ("sines", "kaimal")
+WINDS = ("sines", "kaimal")
 
 
 def make_sway_low(
@@ -78,17 +78,12 @@ def make_sway_high(
 
 
 def _make(
-    name: str, case: _Case, seed: int, duration_s: float, wind: str, tilt_noise: float
+    name: str, case: Case, seed: int, duration_s: float, wind: str, tilt_noise: float
 ) -> Drive:
-    _check(duration_s, wind, tilt_noise)
-    load_n_s = GUSTS_N_S if wind == "kaimal" else case.load_n_s
-    post = post_of(NODE.name, BEAM, DAMPING, *load_n_s)
+    check_duration(duration_s)
     t_ns = instants(START_NS, duration_s, MOTION_HZ)
-    load = _load(case, wind, len(t_ns), stream(seed, "load"))
-    p_m, v_mps, peak_n = _swing(post, load, len(t_ns))
-    tilt = tilt_rad(p_m, post.tip_slope_per_m)
-    truth = PostStates.truth(t_ns, 0, p_m, v_mps, tilt)
-    poses = _poses(truth, case, post, tilt_noise, stream(seed, "poses"))
+    post, truth, peak_n = simulate_sway(case, wind, t_ns, stream(seed, "load"))
+    poses = simulate_poses(truth, case, post, tilt_noise, stream(seed, "poses"))
     source = f"fgloc scenario {name}, seed {seed}, duration_s {duration_s:g}, wind {wind}"
     title = (
         f"Simulated sway of a post of {post.frequency_hz:.2f} Hz, damping {post.damping:g} (alpha "
@@ -101,18 +96,48 @@ def _make(
     )  # fmt: skip
 
 
-def _check(duration_s: float, wind: str, tilt_noise: float) -> None:
+def simulate_sway(
+    case: Case, wind: str, t_ns: Instants, rng: np.random.Generator
+) -> tuple[Post, PostStates, float]:
+    """The post under a wind, how it sways at instants `MOTION_HZ` apart, and the largest load in N.
+
+    Raises InputError for an unknown wind.
+    """
+    if wind not in WINDS:
+        raise InputError(f"wind = {wind!r}: expected one of {', '.join(WINDS)}")
+    post = post_of(NODE.name, BEAM, DAMPING, *(GUSTS_N_S if wind == "kaimal" else case.load_n_s))
+    p_m, v_mps, peak_n = _swing(post, _load(case, wind, len(t_ns), rng), len(t_ns))
+    tilt = tilt_rad(p_m, post.tip_slope_per_m)
+    return post, PostStates.truth(t_ns, 0, p_m, v_mps, tilt), peak_n
+
+
+def simulate_poses(
+    truth: PostStates, case: Case, post: Post, tilt_noise: float, rng: np.random.Generator
+) -> NodePoses:
+    """What the pose estimator says, ten times a second; InputError for an impossible factor."""
+    if not (np.isfinite(tilt_noise) and tilt_noise > 0):
+        raise InputError(f"tilt_noise = {tilt_noise}: expected a factor above 0")
+    at = truth.take(slice(None, None, MOTION_HZ // POSE_HZ))
+    n = len(at)
+    sigma_p_m = np.array(case.largest_error_m) / MEDIAN_MAX_OF_600
+    largest = np.abs(tilt_rad(np.array([AMPLITUDE_M]), post.tip_slope_per_m))[0]
+    sigma_tilt = tilt_noise * TILT_SHARE * largest / MEDIAN_MAX_OF_600
+    return NodePoses(
+        at.t_ns, at.t_ns, at.node, at.p_node_m + sigma_p_m * rng.standard_normal((n, 2)),
+        at.tilt_rad + sigma_tilt * rng.standard_normal((n, 2)), np.tile(sigma_p_m, (n, 1)),
+        np.tile(sigma_tilt, (n, 1)),
+    )  # fmt: skip
+
+
+def check_duration(duration_s: float) -> None:
+    """Raise InputError where a scenario would be too short or too long."""
     if not SHORTEST_S <= duration_s <= LONGEST_S:
         raise InputError(
             f"duration_s = {duration_s}: expected {SHORTEST_S:g} to {LONGEST_S:g} seconds"
         )
-    if wind not in _WINDS:
-        raise InputError(f"wind = {wind!r}: expected one of {', '.join(_WINDS)}")
-    if not (np.isfinite(tilt_noise) and tilt_noise > 0):
-        raise InputError(f"tilt_noise = {tilt_noise}: expected a factor above 0")
 
 
-def _load(case: _Case, wind: str, n: int, rng: np.random.Generator) -> Array:
+def _load(case: Case, wind: str, n: int, rng: np.random.Generator) -> Array:
     """Shape (warm-up + n, 2) of the load along x and y at the rate of the motion."""
     n += int(WARM_UP_S * MOTION_HZ)
     if wind == "kaimal":
@@ -132,19 +157,3 @@ def _swing(post: Post, load: Array, n: int) -> tuple[Array, Array, float]:
     state = np.stack([lfilter(answer, ring_down, load, axis=0)[-n:] for answer in answers], 1)
     scale = np.array(AMPLITUDE_M) / np.abs(state[:, 0]).max(0)
     return state[:, 0] * scale, state[:, 1] * scale, float(np.abs(load[-n:] * scale).max())
-
-
-def _poses(
-    truth: PostStates, case: _Case, post: Post, tilt_noise: float, rng: np.random.Generator
-) -> NodePoses:
-    """What the pose estimator says, ten times a second."""
-    at = truth.take(slice(None, None, MOTION_HZ // POSE_HZ))
-    n = len(at)
-    sigma_p_m = np.array(case.largest_error_m) / MEDIAN_MAX_OF_600
-    largest = np.abs(tilt_rad(np.array([AMPLITUDE_M]), post.tip_slope_per_m))[0]
-    sigma_tilt = tilt_noise * TILT_SHARE * largest / MEDIAN_MAX_OF_600
-    return NodePoses(
-        at.t_ns, at.t_ns, at.node, at.p_node_m + sigma_p_m * rng.standard_normal((n, 2)),
-        at.tilt_rad + sigma_tilt * rng.standard_normal((n, 2)), np.tile(sigma_p_m, (n, 1)),
-        np.tile(sigma_tilt, (n, 1)),
-    )  # fmt: skip

@@ -48,6 +48,11 @@ _INFOS = (
         "the same under a load at 1, 3 and 10 Hz, faster than the poses can show",
     ),
     DatasetInfo(
+        "khamooshi2023/sway-drive", "scenario", 84.0, ("gnss", "imu", "detections", "node_poses"),
+        "MIT", "a car passes a node on a swaying post; options duration_s, sensor, gnss_sigma_m, "
+        "sways, poses",
+    ),
+    DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
     ),
@@ -99,6 +104,7 @@ _IMPORTERS = {
 _SCENARIOS = {
     "city": "city.make_city",
     "khamooshi2023/sway-low": "khamooshi2023_sway.make_sway_low",
+    "khamooshi2023/sway-drive": "khamooshi2023_sway_drive.make_sway_drive",
     "khamooshi2023/sway-high": "khamooshi2023_sway.make_sway_high",
 }
 """Module and function of each scenario."""

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, fields
+from typing import Literal
 
 import numpy as np
 
@@ -27,6 +28,8 @@ class Node:
     range_m           beyond this the node's detections are not to be used
     bias_sigma_m      of a slowly varying error of its positions, each axis; 0 is none
     bias_tau_s        over which that error forgets itself (first-order Gauss-Markov)
+    sensor            'lidar' where what it reports is rigid in space, 'camera' where it is the
+                      ground seen along a ray: what a sway of the node does to it depends on that
     """
 
     name: str
@@ -37,6 +40,7 @@ class Node:
     range_m: float = 100.0
     bias_sigma_m: float = 0.0
     bias_tau_s: float = 60.0
+    sensor: Literal["camera", "lidar"] = "lidar"
 
     def __post_init__(self) -> None:
         place = freeze(self.p_world_m)

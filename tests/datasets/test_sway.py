@@ -5,6 +5,9 @@ import pytest
 
 from fgloc.datasets import make
 from fgloc.datasets.drive_folder import read_drive, write_drive
+from fgloc.datasets.khamooshi2023_sway import START_NS
+from fgloc.datasets.khamooshi2023_sway_drive import oval_motion
+from fgloc.datasets.simulator import instants
 from fgloc.datasets.wind import gusts, kaimal, sines
 from fgloc.errors import InputError
 from fgloc.factors.post import oscillator
@@ -95,3 +98,55 @@ def test_a_drive_without_a_vehicle_is_written_and_read(tmp_path):
     assert back.tables["node_poses"].same_as(drive.tables["node_poses"])
     assert back.post_truth.same_as(drive.post_truth)
     assert back.infrastructure.posts == drive.infrastructure.posts
+
+
+DRIVE = "khamooshi2023/sway-drive"
+
+
+def test_the_oval_is_a_motion_that_fits_itself():
+    motion = oval_motion(instants(START_NS, 60.0, 100), 0.3)
+    for value, rate in ((motion.p_world_m, motion.v_world_mps),
+                        (motion.v_world_mps, motion.a_world_mps2),
+                        (motion.w_veh_radps, motion.wdot_veh_radps2)):  # fmt: skip
+        np.testing.assert_allclose((value[2:] - value[:-2]) * 50, rate[1:-1], atol=1e-3)
+    ahead = motion.R_world_veh[:, :, 0]
+    speed = np.linalg.norm(motion.v_world_mps, axis=-1)
+    np.testing.assert_allclose(ahead * speed[:, None], motion.v_world_mps, atol=1e-9)
+    np.testing.assert_allclose([speed.min(), speed.max()], [2.25, 9.75], atol=0.01)
+
+
+@pytest.mark.parametrize(("sensor", "far_m"), [("camera", 1.0), ("lidar", 0.01)])
+def test_sway_shifts_what_a_camera_sees_far_away_most(sensor, far_m):
+    swaying, still = (make(DRIVE, 2, sensor=sensor, sways=sways).tables["detections"]
+                      for sways in (True, False))  # fmt: skip
+    shift = np.linalg.norm(swaying.p_node_m - still.p_node_m, axis=-1)
+    range_m = np.linalg.norm(still.p_node_m, axis=-1)
+    assert np.sqrt(np.mean(shift[range_m > 55] ** 2)) > far_m
+    assert np.sqrt(np.mean(shift[range_m < 15] ** 2)) < 0.25
+
+
+def test_without_sway_the_detections_scatter_as_they_state():
+    drive = make(DRIVE, 3, sways=False)
+    seen, truth = drive.tables["detections"], drive.truth.take(slice(None, None, 2))
+    box = truth.at_point(drive.rig.p_veh_box_m).p_world_m[:, :2]
+    off = seen.p_node_m - drive.infrastructure.nodes[0].from_world(box)
+    squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(seen.cov_node_m2), off)
+    assert squares.mean() / 2 == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_drive_is_written_and_read_with_its_sensor(tmp_path):
+    drive = make(DRIVE, 1, duration_s=2.0, poses=False)
+    assert "node_poses" not in drive.tables
+    write_drive(drive, tmp_path / "drive")
+    back = read_drive(tmp_path / "drive")
+    assert back.infrastructure.nodes[0].sensor == "camera"
+    assert back.tables["detections"].same_as(drive.tables["detections"])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [({"sensor": "radar"}, "camera, lidar"), ({"gnss_sigma_m": 0.0}, "above 0")],
+)
+def test_a_drive_that_cannot_be_is_refused(options, says):
+    with pytest.raises(InputError, match=says):
+        make(DRIVE, 0, **options)
