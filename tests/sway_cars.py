@@ -158,11 +158,14 @@ def observed_sway(drive: Drive) -> Array:
     return np.concatenate([posts.p_node_m, posts.tilt_rad], -1)
 
 
-def five_ways(seed: int, sensor: str) -> dict[str, Array]:
+def five_ways(seed: int, sensor: str, duration_s: float = 84.0) -> dict[str, Array]:
     """RMSE of the car's place in m, overall and at 20, 40 and 60 m, by the way it was placed."""
-    drive = fgloc.make("khamooshi2023/sway-drive", seed=seed, sensor=sensor)
-    still = fgloc.make("khamooshi2023/sway-drive", seed=seed, sensor=sensor, sways=False)
-    bare = fgloc.make("khamooshi2023/sway-drive", seed=seed, sensor=sensor, poses=False)
+    drive, still, bare = (
+        fgloc.make(
+            "khamooshi2023/sway-drive", seed=seed, sensor=sensor, duration_s=duration_s, **how
+        )
+        for how in ({}, {"sways": False}, {"poses": False})
+    )
     car = ego(drive)
     ways = {
         "sway ignored": estimate(drive, [car], None, joint=False),
