@@ -16,6 +16,7 @@ from fgloc.errors import DriveError
 from fgloc.factors.post import POSITION, VELOCITY, tilt_rad
 from fgloc.infrastructure import Post
 from fgloc.measurements import Array, NodePoses
+from fgloc.post_health import post_health
 from fgloc.posts import PostStates
 from fgloc.result import Result
 from fgloc.timing import NS_PER_S, Instants
@@ -129,7 +130,8 @@ def result(
     summary = {
         "drive": drive.name, "method": method, "mode": mode, "states": len(posts),
         "factors": factors, "counts": counts(verdicts), "origin": asdict(drive.origin),
-        "duration_s": float(posts.t_ns[-1] - posts.t_ns[0]) / NS_PER_S, **(extra or {}),
+        "duration_s": float(posts.t_ns[-1] - posts.t_ns[0]) / NS_PER_S,
+        "posts": post_health(drive, posts), **(extra or {}),
     }  # fmt: skip
     nowhere = Trajectory(np.zeros(0, np.int64), np.zeros((0, 3)))
     return Result(

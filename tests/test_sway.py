@@ -168,7 +168,7 @@ def test_a_causal_run_does_not_look_for_the_frequency_ahead(drive):
     with pytest.raises(InputError, match="goes with mode batch, not with fixed-lag"):
         fgloc.smooth(drive, "fixed-lag", settings=["posts.estimate_mode=true"])
     found = fgloc.smooth(own_wind(7, n=200), settings=["posts.estimate_mode=true"])
-    told = found.summary["posts"]["pole"]["frequency_hz"]
+    told = found.summary["posts_sought"]["pole"]["frequency_hz"]
     assert told["stated"] == 1.5
     assert told["value"] == pytest.approx(1.5, abs=4 * told["relative_error"] * 1.5)
 
@@ -220,6 +220,23 @@ def test_a_drive_without_poses_or_posts_is_told_what_is_missing():
     bare = dataclasses.replace(drive, infrastructure=Infrastructure(drive.infrastructure.nodes))
     with pytest.raises(DriveError, match=r"which node stands on one, as \[\[post"):
         fgloc.smooth(bare)
+
+
+def test_health_tells_amplitude_frequency_latency_and_what_is_missing():
+    drive = fgloc.make(LOW, seed=4, duration_s=30.0)
+    poses = drive.tables["node_poses"]
+    kept = dataclasses.replace(poses, received_ns=poses.t_ns + 80_000_000)
+    rows = np.flatnonzero(np.arange(len(poses)) % 10 != 5)
+    kept = kept.take(rows)
+    told = fgloc.smooth(dataclasses.replace(drive, tables={"node_poses": kept})).summary["posts"]
+    post = told["isn-1"]
+    assert (post["latency_s"], post["rate_hz"]) == (0.08, 10.0)
+    assert post["missing_share"] == pytest.approx(0.1, abs=0.002)
+    assert post["frequency_hz"] == pytest.approx(1.965, abs=1e-3)
+    length_m = np.linalg.norm(drive.post_truth.p_node_m[20 * rows], axis=-1)
+    assert post["rms_m"] == pytest.approx(np.sqrt(np.mean(length_m**2)), rel=0.01)
+    # The load drives the post at 0.5 and 1 Hz; the pose estimates left out smear that little.
+    assert min(abs(post["strongest_hz"] - f) for f in (0.5, 1.0)) < 0.15
 
 
 def test_errors_are_counted_in_millimetres_and_milliradians():

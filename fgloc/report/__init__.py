@@ -19,7 +19,7 @@ from fgloc.report.scene import Scene, scene
 from fgloc.report.series import error_figure, nis_figure, sigma_figure, timeline_figure
 from fgloc.report.spread import cdf_figure, growth_figure
 from fgloc.report.style import MAX_POINTS, Spec
-from fgloc.report.sway import sway_figure, sway_spectrum_figure
+from fgloc.report.sway import health_rows, sway_figure, sway_spectrum_figure
 from fgloc.result import Result
 from fgloc.timing import iso_utc
 
@@ -50,6 +50,7 @@ def render(of: Scene, scores: Mapping[str, Metric] | None) -> str:
     return render_page(
         "report.html.j2", drive=of.drive, result=of.result, facts=_facts(of),
         tiles=tables.tiles(of, scores),
+        posts=health_rows(of),
         figures=list(_figures(of)), metrics=tables.metric_rows(scores or {}),
         has_truth=of.drive.truth is not None or of.drive.post_truth is not None,
         has_errors=of.errors is not None or of.result.posts is not None,

@@ -3,6 +3,7 @@
 import numpy as np
 
 from fgloc.measurements import Array
+from fgloc.post_health import LEAST_ROWS, amplitudes_m
 from fgloc.posts import PostStates
 from fgloc.report.scene import Scene
 from fgloc.report.style import (
@@ -18,12 +19,12 @@ from fgloc.report.style import (
     stacked,
     y_name,
 )
-from fgloc.timing import NS_PER_S
+from fgloc.report.tables import number
 
 _PANEL_PX = 190
 _MOST_POSTS = 3
 _AXES = ("x", "y")
-_LEAST_ROWS, _FASTEST_HZ = 16, 20.0
+_FASTEST_HZ = 20.0
 
 
 def sway_figure(scene: Scene) -> Spec | None:
@@ -53,7 +54,7 @@ def sway_spectrum_figure(scene: Scene) -> Spec | None:
     data = []
     for node in np.unique(posts.node).tolist()[:_MOST_POSTS]:
         for states, name, colour in _told(scene, posts, node):
-            if len(states) < _LEAST_ROWS:
+            if len(states) < LEAST_ROWS:
                 continue
             frequency_hz, amplitude_mm = _spectrum(states)
             title = f"{_name(scene, node)}, {name}"
@@ -64,6 +65,15 @@ def sway_spectrum_figure(scene: Scene) -> Spec | None:
     return {"data": data, "layout": spec}
 
 
+def health_rows(scene: Scene) -> list[dict[str, str]]:
+    """A row for each post: what the drive states of it, how it sways, how its poses arrive."""
+    rows = []
+    for name, told in scene.result.summary.get("posts", {}).items():
+        numbers = {key: "" if value is None else number(value) for key, value in told.items()}
+        rows.append({"name": name, **numbers})
+    return rows
+
+
 def _told(scene: Scene, posts: PostStates, node: int) -> list[tuple[PostStates, str, str]]:
     """The truth of a node's post where there is one, and the estimate."""
     truth = scene.drive.post_truth
@@ -72,14 +82,10 @@ def _told(scene: Scene, posts: PostStates, node: int) -> list[tuple[PostStates, 
 
 
 def _spectrum(states: PostStates) -> tuple[Array, Array]:
-    """Frequencies and amplitudes in mm, both axes together; as if the rows were evenly spread."""
-    n, span_s = len(states), float(states.t_ns[-1] - states.t_ns[0]) / NS_PER_S
-    window = np.hanning(n)[:, None]
-    swing = states.p_node_m - states.p_node_m.mean(0)
-    amplitude = 2 * np.abs(np.fft.rfft(swing * window, axis=0)) / window.sum()
-    frequency_hz = np.asarray(np.fft.rfftfreq(n, span_s / (n - 1)), float)
-    shown = (frequency_hz > 0) & (frequency_hz < _FASTEST_HZ)
-    return frequency_hz[shown], 1000 * np.linalg.norm(amplitude[shown], axis=1)
+    """Frequencies and amplitudes in mm, both axes together."""
+    frequency_hz, amplitude_m = amplitudes_m(states)
+    shown = frequency_hz < _FASTEST_HZ
+    return frequency_hz[shown], 1000 * np.linalg.norm(amplitude_m[shown], axis=1)
 
 
 def _name(scene: Scene, node: int) -> str:

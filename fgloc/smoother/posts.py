@@ -41,7 +41,7 @@ def smooth_posts(drive: Drive, config: SmoothConfig, method: str) -> Result:
     found, verdicts = watches(drive, method)
     extra = {}
     if config.posts.estimate_mode:
-        found, extra["posts"] = with_modes(found)
+        found, extra["posts_sought"] = with_modes(found)
     solve = _batch if config.mode == "batch" else _online(config)
     tables: list[PostStates] = []
     for watch in found:
