@@ -31,7 +31,7 @@ ACCELERATION = 1.0  # density, (m/s^2)^2 / Hz, of what a car does beside going s
 START_M, START_MPS = 100.0, 20.0
 RTK_SIGMA_M, RTK_PHASES_RAD = 0.02, (2.1, 4.2)
 RANGES_M, WIDTH_M = (20.0, 40.0, 60.0), 5.0
-ROUNDS = 3
+ROUNDS = 2
 PLACE = np.eye(2, 4)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from sway_cars import ego, estimate, five_ways, removed_share
+from sway_cars import ROUNDS, ego, estimate, five_ways, removed_share
 
 import fgloc
 
@@ -40,7 +40,7 @@ def cost(rounds: int = 5) -> None:
         for _ in range(rounds):
             estimate(drive, [car], None, joint=joint)
         took[joint] = (time.perf_counter() - began) / rounds / len(car.seen)
-    each = took[True] / 3  # rounds of renewed rows
+    each = took[True] / ROUNDS
     print(f"\ncar alone {1e6 * took[False]:.0f} us a detection, with the post {1e6 * each:.0f} us")
 
 
