@@ -39,6 +39,10 @@ _INFOS = (
         "plain simulated drive: GNSS 10 Hz, IMU 100 Hz, wheel speed 50 Hz; option duration_s",
     ),
     DatasetInfo(
+        "lee2021/mcity", "scenario", 300.0, ("gnss", "imu", "velocity", "detections"), "MIT",
+        "three passes by a roadside node (Lee et al. 2021); options errors, latency_s",
+    ),
+    DatasetInfo(
         "khamooshi2023/sway-low", "scenario", 60.0, ("node_poses",), "MIT",
         "a node on a post that sways at 0.5 and 1 Hz, poses 10 Hz; options duration_s, wind, "
         "tilt_noise",
@@ -55,6 +59,10 @@ _INFOS = (
     DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
+    ),
+    DatasetInfo(
+        "mcity-13", "real", 60.0, ("gnss", "odometry", "velocity", "detections"), "MIT",
+        "real roadside detections of two cars, RTK 50 Hz; GPS and odometry simulated from the RTK",
     ),
     DatasetInfo(
         "kitti", "real", 469.6, ("gnss", "imu"), "CC-BY-NC-SA-3.0",
@@ -88,6 +96,10 @@ _INFOS = (
         "nmea", "importer", None, ("gnss",), "the source's",
         "NMEA-0183 log with GGA, RMC, GST; IMU from a CSV of ours (--imu, --imu-noise)",
     ),
+    DatasetInfo(
+        "mcity-roadside", "importer", None, ("gnss", "odometry", "velocity", "detections"),
+        "the source's", "roadside node at Mcity (--trial); GPS and odometry simulated from the RTK",
+    ),
 )  # fmt: skip
 
 _IMPORTERS = {
@@ -98,11 +110,13 @@ _IMPORTERS = {
     "euroc": "euroc.import_euroc",
     "rtklib-pos": "rtklib_pos.import_rtklib_pos",
     "nmea": "nmea.import_nmea",
+    "mcity-roadside": "mcity_roadside.import_mcity_roadside",
 }
 """Module and function of each format."""
 
 _SCENARIOS = {
     "city": "city.make_city",
+    "lee2021/mcity": "lee2021.make_lee2021_mcity",
     "khamooshi2023/sway-low": "khamooshi2023_sway.make_sway_low",
     "khamooshi2023/sway-drive": "khamooshi2023_sway_drive.make_sway_drive",
     "khamooshi2023/sway-high": "khamooshi2023_sway.make_sway_high",

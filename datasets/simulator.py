@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from fgloc.drive import ImuNoise, Rig
 from fgloc.errors import InputError
-from fgloc.measurements import Array, GnssFixes, ImuSamples, WheelSpeeds
+from fgloc.measurements import Array, EnuVelocities, GnssFixes, ImuSamples, WheelSpeeds
 from fgloc.timing import NS_PER_S, Instants
 from fgloc.trajectory import Trajectory
 
@@ -88,6 +88,28 @@ def simulate_wheel(motion: Motion, sigma_mps: float, rng: np.random.Generator) -
     forward = np.einsum("ni,ni->n", motion.R_world_veh[:, :, 0], motion.v_world_mps)
     speed_mps = forward + sigma_mps * rng.standard_normal(len(motion))
     return WheelSpeeds(motion.t_ns, motion.t_ns, speed_mps, np.full(len(motion), sigma_mps))
+
+
+def simulate_velocity(motion: Motion, sigma_mps: float, rng: np.random.Generator) -> EnuVelocities:
+    """Velocity of the vehicle origin at every instant, white noise on each axis of ENU."""
+    n = len(motion)
+    noise_mps = sigma_mps * rng.standard_normal((n, 3))
+    return EnuVelocities(
+        motion.t_ns, motion.t_ns, motion.v_world_mps + noise_mps, np.full(n, sigma_mps)
+    )
+
+
+def gauss_markov(tau_s: float, t_s: Array, columns: int, rng: np.random.Generator) -> Array:
+    """Stationary first-order Gauss-Markov noise (N, columns) of unit sigma at times (N,) in s.
+
+    The columns are independent; each forgets itself over `tau_s`.
+    """
+    keep = np.exp(-np.diff(t_s) / tau_s)
+    noise = rng.standard_normal((len(t_s), columns))
+    noise[1:] *= np.sqrt(1 - keep**2)[:, None]
+    for k in range(1, len(noise)):
+        noise[k] += keep[k - 1] * noise[k - 1]
+    return noise
 
 
 def predict_imu(motion: Motion, rig: Rig, gravity_mps2: float) -> tuple[Array, Array]:

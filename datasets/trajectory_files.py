@@ -1,10 +1,10 @@
 """Trajectories as files: TUM for other tools, CSV with everything, GeoJSON for maps."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_json
 
 from fgloc.datasets.columns import Columns
 from fgloc.datasets.csv_table import format_rows, read_csv, write_csv
@@ -62,8 +62,9 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     if trajectory.R_world_veh is not None:
         q = matrix_to_quat_xyzw(trajectory.R_world_veh)
     stamps = map(ns_to_decimal, trajectory.t_ns.tolist())
-    rows = format_rows(np.hstack([trajectory.p_world_m, q]).tolist())
-    lines = [f"{t} {row.replace(',', ' ')}\n" for t, row in zip(stamps, rows, strict=True)]
+    parts = format_rows([*trajectory.p_world_m.T, *q.T], " ")
+    rows = (row for part in parts for row in part.splitlines())
+    lines = [f"{t} {row}\n" for t, row in zip(stamps, rows, strict=True)]
     Path(path).write_text("".join(lines), encoding="utf-8", newline="\n")
 
 
@@ -100,8 +101,8 @@ def write_geojson(
     features = [_feature(name, trajectory, origin)]
     if truth is not None:
         features.append(_feature("truth", truth, origin))
-    text = json.dumps({"type": "FeatureCollection", "features": features}, separators=(",", ":"))
-    Path(path).write_text(text + "\n", encoding="utf-8", newline="\n")
+    text = to_json({"type": "FeatureCollection", "features": features})
+    Path(path).write_bytes(text + b"\n")
 
 
 def _feature(name: str, trajectory: Trajectory, origin: Origin) -> dict[str, Any]:

@@ -18,8 +18,8 @@ from fgloc.measurements import Array
 if TYPE_CHECKING:
     import gtsam
 
-ANTENNA_SIGMA_M = 1e-3
-"""Slack between pose and antenna variable when a bias is estimated: far below any fix's noise."""
+TIE_SIGMA_M = 1e-3
+"""Slack of what ties a measured point to more than the pose: far below any measurement's noise."""
 
 
 class GnssResidual(NamedTuple):
@@ -79,29 +79,30 @@ def position_factor(
     return gtsam.GPSFactorArm(pose_key, z_world_m, p_veh_ant_m, model)
 
 
-def biased_position_factors(
-    pose_key: int, antenna_key: int, lever_key: int, bias_key: int, z_world_m: Array,
-    model: gtsam.noiseModel.Diagonal,
+def linked_position_factors(
+    pose_key: int, point_key: int, lever_key: int, z_world_m: Array,
+    model: gtsam.noiseModel.Base, by: dict[int, Array],
 ) -> list[gtsam.NonlinearFactor]:  # fmt: skip
-    """The native factors of `residual` with a bias variable, by way of the antenna's position.
+    """The native factors of `residual` where more vectors than the pose have a part in it.
 
-    GTSAM has no GPS factor with a bias: the antenna becomes a point variable tied to the pose
-    through the lever-arm variable, and point + bias = z is linear. `model` must be plain
-    (diagonal); a robust loss cannot lie on a linear factor, so outliers are left to the gate.
+    GTSAM has no such factor: the measured point becomes a variable, tied to the pose through the
+    lever-arm variable under the measurement's own noise, loss and all, and
+    point + sum of by[key] x_key = z is linear and next to exact. `by` gives the Jacobian (3, 3) of
+    each vector x: the identity for a bias.
     """
     import gtsam
 
-    tie = gtsam.ReferenceFrameFactorPoint3Pose3(
-        lever_key, pose_key, antenna_key, gtsam.noiseModel.Isotropic.Sigma(3, ANTENNA_SIGMA_M)
-    )
-    row = gtsam.JacobianFactor(antenna_key, np.eye(3), bias_key, np.eye(3), z_world_m, model)
-    return [tie, _linear(row, antenna_key, bias_key)]
+    tie = gtsam.ReferenceFrameFactorPoint3Pose3(lever_key, pose_key, point_key, model)
+    exact = gtsam.noiseModel.Isotropic.Sigma(3, TIE_SIGMA_M)
+    terms = [part for key, J in ((point_key, np.eye(3)), *by.items()) for part in (key, J)]
+    row = gtsam.JacobianFactor(*terms, z_world_m, exact)  # type: ignore[call-overload]
+    return [tie, _linear(row, point_key, *by)]
 
 
-def bias_transition(dt_s: float, sigma_m: float, tau_s: float) -> tuple[float, float]:
-    """Factor phi and noise sigma in m of the Gauss-Markov bias over dt seconds."""
-    phi = float(np.exp(-dt_s / tau_s))
-    return phi, sigma_m * float(np.sqrt(-np.expm1(-2 * dt_s / tau_s)))
+def bias_transition(dt_s: ArrayLike, sigma_m: float, tau_s: float) -> tuple[Array, Array]:
+    """Factors phi (...) and noise sigmas in m (...) of the Gauss-Markov bias over times (...)."""
+    over = np.asarray(dt_s, float) / tau_s
+    return np.exp(-over), sigma_m * np.sqrt(-np.expm1(-2 * over))
 
 
 def bias_transition_factor(
@@ -111,7 +112,7 @@ def bias_transition_factor(
     import gtsam
 
     phi, sigma = bias_transition(dt_s, sigma_m, tau_s)
-    model = gtsam.noiseModel.Isotropic.Sigma(3, sigma)
+    model = gtsam.noiseModel.Isotropic.Sigma(3, float(sigma))
     row = gtsam.JacobianFactor(key_i, -phi * np.eye(3), key_j, np.eye(3), np.zeros(3), model)
     return _linear(row, key_i, key_j)
 

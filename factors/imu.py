@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fgloc.drive import ImuNoise
+from fgloc.drive import Noise
 from fgloc.frames import exp_so3, log_so3, right_jacobian_inverse_so3, right_jacobian_so3, skew
 from fgloc.measurements import Array
 
@@ -49,25 +49,47 @@ class ImuDeltas(NamedTuple):
 
 
 class ImuResidual(NamedTuple):
-    """error (N, 9) and its Jacobians: poses by 6, velocities by 3, the bias by 6 columns."""
+    """error (N, 9) and its Jacobian (N, 9, 24), which has a part for each unknown."""
 
     error: Array
-    by_pose_i: Array
-    by_velocity_i: Array
-    by_pose_j: Array
-    by_velocity_j: Array
-    by_bias: Array
+    jacobian: Array
+
+    @property
+    def by_pose_i(self) -> Array:
+        """(N, 9, 6)."""
+        return self.jacobian[..., :6]
+
+    @property
+    def by_velocity_i(self) -> Array:
+        """(N, 9, 3)."""
+        return self.jacobian[..., 6:9]
+
+    @property
+    def by_bias(self) -> Array:
+        """(N, 9, 6)."""
+        return self.jacobian[..., 9:15]
+
+    @property
+    def by_pose_j(self) -> Array:
+        """(N, 9, 6)."""
+        return self.jacobian[..., 15:21]
+
+    @property
+    def by_velocity_j(self) -> Array:
+        """(N, 9, 3)."""
+        return self.jacobian[..., 21:]
 
 
 def parameters(
-    accel_noise: float, gyro_noise: float, gravity_mps2: float
+    accel_noise: ArrayLike, gyro_noise: ArrayLike, gravity_mps2: float
 ) -> gtsam.PreintegrationParams:
-    """GTSAM's parameters for densities in m/s^2 and rad/s per sqrt(Hz), gravity along -z."""
+    """GTSAM's parameters for densities in m/s^2 and rad/s per sqrt(Hz), one for all axes or (3,),
+    gravity along -z."""
     import gtsam
 
     params = gtsam.PreintegrationParams.MakeSharedU(gravity_mps2)
-    params.setAccelerometerCovariance(np.eye(3) * accel_noise**2)
-    params.setGyroscopeCovariance(np.eye(3) * gyro_noise**2)
+    params.setAccelerometerCovariance(np.eye(3) * np.square(accel_noise))
+    params.setGyroscopeCovariance(np.eye(3) * np.square(gyro_noise))
     params.setIntegrationCovariance(np.eye(3) * INTEGRATION_NOISE_M_PER_SQRT_S**2)
     params.setImuFactorErrorMode(gtsam.ImuFactorErrorMode.ComponentWise)
     return params
@@ -123,12 +145,10 @@ def factor(
     return gtsam.ImuFactor(*keys, pim)
 
 
-def bias_walk_sigmas(noise: ImuNoise, dt_s: float) -> Array:
+def bias_walk_sigmas(noise: Noise, dt_s: float) -> Array:
     """Standard deviations (6,) of the biases' change over dt seconds: 3 in m/s^2, 3 in rad/s."""
-    walk = [noise.accel_bias_walk_mps3_per_sqrt_hz] * 3 + [
-        noise.gyro_bias_walk_radps2_per_sqrt_hz
-    ] * 3
-    return np.array(walk) * np.sqrt(dt_s)
+    walks = noise.accel_bias_walk_mps3_per_sqrt_hz, noise.gyro_bias_walk_radps2_per_sqrt_hz
+    return np.concatenate([np.broadcast_to(walk, 3) for walk in walks]) * np.sqrt(dt_s)
 
 
 def predict(
@@ -183,33 +203,36 @@ def residual(
 
     States are (R_world_veh (N, 3, 3), p_world_m (N, 3), v_world_mps (N, 3)); bias is (N, 6).
     """
-    (R_i, _, _), (R_j, p_j, v_j) = state_i, state_j
-    R_p, p_p, v_p = predict(deltas, *state_i, bias, gravity_mps2)
-    back = R_j.swapaxes(-1, -2)
-    E = back @ R_p
-    error = np.concatenate(
-        [log_so3(E), _rotate(back, p_p - p_j), _rotate(back, v_p - v_j)], axis=-1
-    )
-    J = right_jacobian_inverse_so3(error[:, :3])
+    (R_i, p_i, v_i), (R_j, p_j, v_j) = state_i, state_j
+    T, g = deltas.dt_s[:, None], np.array([0.0, 0.0, -gravity_mps2])
     d = _corrected(deltas, bias)
-    n, relative = len(d), back @ R_i
-    by_pose_i, by_pose_j = np.zeros((n, 9, 6)), np.zeros((n, 9, 6))
-    by_pose_i[:, :3, :3] = J @ exp_so3(d[:, :3]).swapaxes(-1, -2)
-    by_pose_i[:, 3:6, :3] = -relative @ skew(d[:, 3:6])
-    by_pose_i[:, 3:6, 3:] = relative
-    by_pose_i[:, 6:, :3] = -relative @ skew(d[:, 6:])
-    by_pose_j[:, :3, :3] = -J @ E.swapaxes(-1, -2)
-    by_pose_j[:, 3:6, :3] = skew(error[:, 3:6])
-    by_pose_j[:, 3:6, 3:] = -np.eye(3)
-    by_pose_j[:, 6:, :3] = skew(error[:, 6:])
-    by_velocity_i, by_velocity_j = np.zeros((n, 9, 3)), np.zeros((n, 9, 3))
-    by_velocity_i[:, 3:6] = back * deltas.dt_s[:, None, None]
-    by_velocity_i[:, 6:] = back
-    by_velocity_j[:, 6:] = -back
-    by_bias = np.concatenate([J @ right_jacobian_so3(d[:, :3]) @ deltas.by_bias[:, :3],
-                              relative @ deltas.by_bias[:, 3:6],
-                              relative @ deltas.by_bias[:, 6:]], axis=1)  # fmt: skip
-    return ImuResidual(error, by_pose_i, by_velocity_i, by_pose_j, by_velocity_j, by_bias)
+    dR, back = exp_so3(d[:, :3]), _transposed(R_j)
+    relative = back @ R_i
+    error = np.concatenate(
+        [
+            log_so3(relative @ dR),
+            _rotate(relative, d[:, 3:6]) + _rotate(back, p_i - p_j + v_i * T + 0.5 * g * T**2),
+            _rotate(relative, d[:, 6:]) + _rotate(back, v_i - v_j + g * T),
+        ],
+        axis=-1,
+    )
+    inverse = right_jacobian_inverse_so3(error[:, :3])
+    told = ImuResidual(error, np.zeros((len(d), 9, 24)))
+    told.by_pose_i[:, :3, :3] = inverse @ _transposed(dR)
+    told.by_pose_i[:, 3:6, :3] = -relative @ skew(d[:, 3:6])
+    told.by_pose_i[:, 3:6, 3:] = relative
+    told.by_pose_i[:, 6:, :3] = -relative @ skew(d[:, 6:])
+    told.by_velocity_i[:, 3:6] = back * T[:, None]
+    told.by_velocity_i[:, 6:] = back
+    told.by_bias[:, :3] = inverse @ (right_jacobian_so3(d[:, :3]) @ deltas.by_bias[:, :3])
+    told.by_bias[:, 3:6] = relative @ deltas.by_bias[:, 3:6]
+    told.by_bias[:, 6:] = relative @ deltas.by_bias[:, 6:]
+    told.by_pose_j[:, :3, :3] = -_transposed(inverse)  # Jr^-1(e) Exp(-e) = Jr^-1(-e)
+    told.by_pose_j[:, 3:6, :3] = skew(error[:, 3:6])
+    told.by_pose_j[:, 3:6, 3:] = -np.eye(3)
+    told.by_pose_j[:, 6:, :3] = skew(error[:, 6:])
+    told.by_velocity_j[:, 6:] = -back
+    return told
 
 
 def _corrected(deltas: ImuDeltas, bias: ArrayLike) -> Array:
@@ -218,3 +241,8 @@ def _corrected(deltas: ImuDeltas, bias: ArrayLike) -> Array:
 
 def _rotate(matrix: Array, vector: Array) -> Array:
     return np.einsum("nij,nj->ni", matrix, vector)
+
+
+def _transposed(matrix: Array) -> Array:
+    """The transposes as a stack of its own: products of views of another order are slow."""
+    return np.ascontiguousarray(matrix.swapaxes(-1, -2))

@@ -16,6 +16,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fgloc.factors.imu import INTEGRATION_NOISE_M_PER_SQRT_S, ImuDeltas
+from fgloc.frames import (
+    exp_so3,
+    log_so3,
+    right_jacobian_inverse_so3,
+    right_jacobian_so3,
+    skew,
+)
 from fgloc.measurements import Array
 
 SAMPLES_AT_ONCE = 40_000
@@ -29,12 +36,13 @@ def preintegrate(
     """Samples first[n]:stops[s, n] of (M, 3) m/s^2, (M, 3) rad/s and (M,) s, at zero bias.
 
     Columns have leading axes (S, N): N intervals, each up to S stops that do not go back. Noise is
-    a density in m/s^2 and rad/s per sqrt(Hz), one for all intervals or (N,).
+    a density in m/s^2 and rad/s per sqrt(Hz), one for all intervals, (N,), or (N, 3) where the
+    axes are not alike.
     """
     shape = stops.shape
     out = ImuDeltas(np.zeros((*shape, 9)), np.zeros((*shape, 9, 6)), np.zeros((*shape, 9, 9)),
                     np.zeros(shape), np.zeros((*shape, 6)))  # fmt: skip
-    variances = [np.broadcast_to(np.square(noise), shape[1]) for noise in (accel_noise, gyro_noise)]
+    variances = [_variances(noise, shape[1]) for noise in (accel_noise, gyro_noise)]
     count = stops - first
     for rows in _portions(count[-1]):
         sample = first[rows] + np.arange(count[-1, rows].max(initial=0))[:, None]
@@ -44,10 +52,52 @@ def preintegrate(
         )
         for s in range(shape[0]):
             upto = count[s, rows]
-            delta, by_bias, cov = path.sums(upto, *(v[rows] for v in variances))
+            delta, by_bias, cov = path.sums(upto, *(v[:, rows] for v in variances))
             out.delta[s, rows], out.by_bias[s, rows], out.cov[s, rows] = delta, by_bias, cov
             out.dt_s[s, rows] = path.dt_until(upto).sum(0)
     return out
+
+
+def _variances(noise: ArrayLike, n: int) -> Array:
+    """Squares of densities: (1, n) where all axes are alike, (3, n) where they are not."""
+    square = np.square(np.asarray(noise, float))
+    return square.T if square.ndim == 2 else np.broadcast_to(square, (1, n))
+
+
+def join(first: ImuDeltas, second: ImuDeltas) -> ImuDeltas:
+    """Intervals (N,) and those that follow them as one, from their sums alone.
+
+    Both must be linearised at the same bias. The sums of the whole differ to second order in what
+    turns within a sample.
+    """
+    (theta_1, p_1, v_1), (theta_2, p_2, v_2) = (
+        np.split(deltas.delta, 3, axis=1) for deltas in (first, second)
+    )
+    R_1, R_2, T = exp_so3(theta_1), exp_so3(theta_2), second.dt_s[:, None, None]
+    R = R_1 @ R_2
+    theta = log_so3(R)
+    p = p_1 + v_1 * T[..., 0] + np.einsum("nij,nj->ni", R_1, p_2)
+    v = v_1 + np.einsum("nij,nj->ni", R_1, v_2)
+    # How errors of the first travel, in the frames of the two ends.
+    back = R_2.swapaxes(-1, -2)
+    F = np.zeros_like(first.cov)
+    F[:, :3, :3] = F[:, 3:6, 3:6] = F[:, 6:, 6:] = back
+    F[:, 3:6, :3], F[:, 6:, :3] = -back @ skew(p_2), -back @ skew(v_2)
+    F[:, 3:6, 6:] = back * T
+    cov = F @ first.cov @ F.swapaxes(-1, -2) + second.cov
+    # The Jacobians by the bias are those of errors at the end, but for the frame they stand in.
+    by_bias = F @ _end(first, R_1) + _end(second, R_2)
+    by_bias[:, :3] = right_jacobian_inverse_so3(theta) @ by_bias[:, :3]
+    by_bias[:, 3:6], by_bias[:, 6:] = R @ by_bias[:, 3:6], R @ by_bias[:, 6:]
+    delta = np.concatenate([theta, p, v], axis=1)
+    return ImuDeltas(delta, by_bias, cov, first.dt_s + second.dt_s, second.bias_hat)
+
+
+def _end(deltas: ImuDeltas, R: Array) -> Array:
+    """The Jacobians by the bias (N, 9, 6) as errors in the frame R of the interval's end."""
+    back, by_bias = R.swapaxes(-1, -2), deltas.by_bias
+    turn = right_jacobian_so3(deltas.delta[:, :3]) @ by_bias[:, :3]
+    return np.concatenate([turn, back @ by_bias[:, 3:6], back @ by_bias[:, 6:]], axis=1)
 
 
 def _portions(count: NDArray[np.int64]) -> Iterator[slice]:
@@ -96,7 +146,7 @@ class _Path:
         by_bias[:, 3:6, :3] = -(R * (dt * reach)).sum(2).transpose(2, 0, 1)
         by_bias[:, 6:, :3] = -(R * dt).sum(2).transpose(2, 0, 1)
         by_bias[:, :, 3:] = -(M * dt).sum(2).transpose(2, 0, 1)
-        cov = _covariance(M, dt, reach, accel_var, gyro_var)
+        cov = _covariance(M, R, dt, reach, accel_var, gyro_var)
         return delta, by_bias, _at_the_end(_so3(theta), cov)
 
 
@@ -164,17 +214,32 @@ def _curvature(square: Array) -> tuple[Array, Array]:
     return c, slope
 
 
-def _covariance(M: Array, dt: Array, reach: Array, accel_var: Array, gyro_var: Array) -> Array:
-    """(n, 9, 9): the gyro's noise through M; the accelerometer's, alike on all axes, as sums."""
-    flat = (M * np.sqrt(dt * gyro_var)).transpose(3, 0, 1, 2).reshape(dt.shape[1], 9, -1)
-    cov = flat @ flat.swapaxes(-1, -2)
+def _covariance(
+    M: Array, R: Array, dt: Array, reach: Array, accel_var: Array, gyro_var: Array
+) -> Array:
+    """(n, 9, 9): the gyro's noise through M; the accelerometer's as sums where its axes are alike,
+    and through R where they are not."""
+    cov = _spread(M * np.sqrt(dt * gyro_var[:, None]))
     along = np.arange(3)
-    speed = accel_var * dt.sum(0)
-    both = accel_var * (dt * reach).sum(0)
-    place = accel_var * (dt * reach**2).sum(0) + INTEGRATION_NOISE_M_PER_SQRT_S**2 * dt.sum(0)
-    for i, j, value in ((3, 3, place), (3, 6, both), (6, 3, both), (6, 6, speed)):
-        cov[:, i + along, j + along] += value[:, None]
+    place = INTEGRATION_NOISE_M_PER_SQRT_S**2 * dt.sum(0)
+    if len(accel_var) == 1:
+        speed = accel_var[0] * dt.sum(0)
+        both = accel_var[0] * (dt * reach).sum(0)
+        place = accel_var[0] * (dt * reach**2).sum(0) + place
+        for i, j, value in ((3, 6, both), (6, 3, both), (6, 6, speed)):
+            cov[:, i + along, j + along] += value[:, None]
+    else:
+        shaken = R * np.sqrt(dt * accel_var[:, None])
+        cov[:, 3:, 3:] += _spread(np.concatenate([shaken * reach, shaken]))
+    cov[:, 3 + along, 3 + along] += place[:, None]
     return cov
+
+
+def _spread(effects: Array) -> Array:
+    """(n, m, m): the sum over samples of E E' for effects (m, 3, L, n) of unit noise."""
+    m, n = len(effects), effects.shape[-1]
+    flat = effects.transpose(3, 0, 1, 2).reshape(n, m, -1)
+    return np.asarray(flat @ flat.swapaxes(-1, -2))
 
 
 def _at_the_end(end: tuple[Array, ...], cov: Array) -> Array:

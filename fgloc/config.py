@@ -37,10 +37,41 @@ class GnssConfig(Section):
     """After this long without an accepted fix the gate opens, or it would never recover."""
     sigma_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
     """Factor on every fix's standard deviation."""
-    bias_sigma_m: float = Field(default=0.0, ge=0)
-    """Stationary standard deviation per axis of a slowly varying position bias; 0 leaves it out."""
-    bias_tau_s: float = Field(default=60.0, gt=0)
-    """Time constant of that bias."""
+    bias_sigma_m: float | None = Field(default=None, ge=0)
+    """Stationary standard deviation per axis of a slowly varying position bias; 0 leaves it out.
+    Default: what the drive's rig states, or 0."""
+    bias_tau_s: float | None = Field(default=None, gt=0)
+    """Time constant of that bias. Default: what the rig states, or 60 s."""
+
+
+class DetectionConfig(Section):
+    """How what roadside nodes see enters the graph."""
+
+    use: bool = True
+    covariance: Literal["stated", "lee2021", "khamooshi2023"] = "stated"
+    """Of a detection: what the node states (where it states none, Lee's law), or a law of the
+    distance; see `factors/detection.py`."""
+    sigma_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
+    """Factor on every detection's standard deviation."""
+    floor_m: float = Field(default=0.3, gt=0)
+    """Least sigma along the line of sight under Lee's law, which is 0 at 13.76 m."""
+    loss: Literal["none", "huber", "cauchy"] = "huber"
+    loss_width: float = Field(default=3.0, gt=0)
+    """Whitened norm at which the loss leaves the parabola; 3.0 holds 99 % of two-dimensional
+    Gaussian errors."""
+    gate_probability: float = Field(default=0.999, gt=0, le=1)
+    """A candidate is not the car where its NIS exceeds this quantile of chi-square, times the slack
+    squared."""
+    gate_slack: float = Field(default=1.5, ge=1, le=1e6)
+    """Less than a fix's: what a fix has to fit is noise, here it is the car next to it as well."""
+    bias_sigma_m: float | None = Field(default=None, ge=0)
+    """Standard deviation per axis of each node's slowly varying error; 0 leaves it out. Default:
+    what the node states."""
+    bias_tau_s: float | None = Field(default=None, gt=0)
+    """Time constant of that error. Default: what the node states."""
+    offset_sigma_m: float = Field(default=0.0, ge=0)
+    """How far, each axis, the box's centre may be from where the rig says; above 0 it is
+    estimated."""
 
 
 class ImuConfig(Section):
@@ -64,15 +95,50 @@ class ImuConfig(Section):
     """Unknown turn rate in a gap: density of its white noise, rad/s per sqrt(Hz)."""
 
 
+class MotionConfig(Section):
+    """What carries the vehicle from one state to the next, above all where there is no IMU."""
+
+    kind: Literal["auto", "imu", "constant-velocity", "odometry", "bicycle"] = "auto"
+    """auto: the IMU if the drive has one, or its odometry, or steering with wheel speeds where the
+    wheelbase is given, or a velocity that stays about the same."""
+    accel_mps2_per_sqrt_hz: float = Field(default=1.5, gt=0)
+    """Without an IMU, of the acceleration along the ground: density of its white noise, which lets
+    the speed change by so much in a second."""
+    vertical_mps2_per_sqrt_hz: float = Field(default=0.3, gt=0)
+    """Upwards: slopes come and go over some seconds."""
+    turn_radps_per_sqrt_hz: float = Field(default=0.3, gt=0)
+    """About the vertical, where nobody tells the yaw rate."""
+    tilt_radps_per_sqrt_hz: float = Field(default=0.01, gt=0)
+    """About the level axes: 0.03 rad of slope in ten seconds."""
+    steering_radps_per_sqrt_hz: float = Field(default=0.02, gt=0)
+    """Of the yaw rate that steering and wheels tell: tyres that yield."""
+    yaw_rate_bias_radps: float = Field(default=0.005, gt=0)
+    """Of a constant error of a yaw rate, which is estimated: 0.03 rad of the steering wheel at
+    20 m/s do as much."""
+    wheelbase_m: float | None = Field(default=None, gt=0)
+    """Between the axles, for steering."""
+    steering_ratio: float = Field(default=15.0, gt=0)
+    """Turn of the steering wheel for a turn of the road wheels: cars have 14 to 17."""
+    interval_s: float = Field(default=0.1, ge=1e-3, le=1e6)
+    """Without an IMU, one speed or velocity is taken in so much time."""
+    gap_s: float = Field(default=1.0, gt=0)
+    """Yaw rates further apart tell nothing of the turn between them."""
+    velocities: bool | None = None
+    """Use the drive's `velocity` rows. Default: where there is no IMU, as such rows come from
+    one."""
+
+
 class VehicleConfig(Section):
     """What may be taken for granted of a vehicle; off where the drive does not say it is a car."""
 
-    non_holonomic: bool = False
-    """The wheels do not slide sideways and the road holds the car: no speed but along its axis."""
+    non_holonomic: bool | None = None
+    """The wheels do not slide sideways and the road holds the car: no speed but along its axis.
+    Default: only where there is no IMU to tell how the vehicle points."""
     zero_velocity: bool = False
     """While the IMU shakes no more than a car at rest does, it neither moves nor turns."""
-    wheel_speed: bool = False
-    """Use the drive's wheel speeds; their scale is estimated."""
+    wheel_speed: bool | None = None
+    """Use the drive's wheel speeds, or those of its odometry; their scale is estimated. Default:
+    only where there is no IMU."""
     interval_s: float = Field(default=1.0, ge=1e-3, le=1e6)
     """One constraint, and one wheel speed, in so much time: their errors last for seconds, so more
     of them say little more."""
@@ -113,9 +179,10 @@ class ClockConfig(Section):
     gnss_s: float = Field(default=0.0, ge=-60, le=60)
     imu_s: float = Field(default=0.0, ge=-60, le=60)
     wheel_s: float = Field(default=0.0, ge=-60, le=60)
-    estimate: Literal["none", "gnss", "imu"] = "none"
-    """Estimate, in a batch, how late the stamps of fixes or IMU are against the other's, as one
-    constant of the drive. The other's clock is that of the trajectory."""
+    nodes_s: float = Field(default=0.0, ge=-60, le=60)
+    estimate: Literal["none", "gnss", "imu", "nodes"] = "none"
+    """Estimate, in a batch, how late the stamps of fixes, IMU or roadside nodes are against all
+    others, as one constant of the drive. The others' clock is that of the trajectory."""
     sigma_s: float = Field(default=0.3, gt=0)
     """How late they may be beforehand."""
 
@@ -161,7 +228,9 @@ class SmoothConfig(Section):
     seed: int | None = None
     """Kept with the results of simulated drives; the smoother itself draws nothing."""
     gnss: GnssConfig = GnssConfig()
+    detections: DetectionConfig = DetectionConfig()
     imu: ImuConfig = ImuConfig()
+    motion: MotionConfig = MotionConfig()
     vehicle: VehicleConfig = VehicleConfig()
     clock: ClockConfig = ClockConfig()
     solver: SolverConfig = SolverConfig()

@@ -8,14 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.config import VehicleConfig
+from fgloc.config import SmoothConfig, VehicleConfig
 from fgloc.drive import Drive
-from fgloc.measurements import Array, GnssFixes, ImuSamples, WheelSpeeds
+from fgloc.measurements import (
+    Array,
+    EnuVelocities,
+    GnssFixes,
+    ImuSamples,
+    Odometry,
+    Table,
+    WheelSpeeds,
+)
+from fgloc.motion import UNSOUND_ODOMETRY, Motion, firsts, sound_odometry, sound_rows
 from fgloc.timing import Instants, elapsed_s, seconds_to_ns
 from fgloc.verdicts import SourceVerdicts, Verdict
 
 NON_HOLONOMIC, STANDSTILL = "non-holonomic", "standstill"
 """The names under which constraints are counted: nobody measured them, but they have verdicts."""
+NOT_REACHED = "not reached"
+"""Of rows that an estimator may take, and has not yet."""
 MIN_SAMPLES = 10
 """Fewer IMU samples in a window tell nothing of how it shakes."""
 PITCH_WINDOW_S = 0.5
@@ -31,90 +42,139 @@ this, and so many of its sigmas, does not stand."""
 class Constraints:
     """The constraints at K epochs.
 
-    in_force    (K,) bool: the car follows its axis here, if that is asked for
-    wheel_row   (K,) row of the wheel speed true at the epoch, -1 where there is none
-    stands      (K,) bool: the car does not move
-    rate_radps  (K, 3) mean angular rate of the window before, vehicle axes
-    ahead_mps2  (K,) mean specific force along x of the last `PITCH_WINDOW_S`
+    in_force      (K,) bool: the car follows its axis here, if that is asked for
+    wheel_row     (K,) row of the wheel speed true at the epoch, -1 where there is none
+    velocity_row  (K,) the same of a velocity in the world
+    stands        (K,) bool: the car does not move
+    rate_radps    (K, 3) mean angular rate of the window before, vehicle axes
+    ahead_mps2    (K,) mean specific force along x of the last `PITCH_WINDOW_S`
     """
 
     in_force: NDArray[np.bool_]
     wheel_row: NDArray[np.int64]
+    velocity_row: NDArray[np.int64]
     stands: NDArray[np.bool_]
     rate_radps: Array
     ahead_mps2: Array
 
 
-def chosen_wheel_rows(
-    drive: Drive, others_ns: Instants, config: VehicleConfig, verdicts: dict[str, SourceVerdicts]
-) -> NDArray[np.int64]:
-    """One sound row in each interval from the first of `others_ns` to the last, best at one of
-    these instants, as it then needs no keyframe of its own; the others get their verdicts."""
-    wheel = wheel_of(drive)
-    if wheel is None or not config.wheel_speed:
-        return np.empty(0, np.int64)
-    sound = np.isfinite(wheel.speed_mps) & np.isfinite(wheel.sigma_mps) & (wheel.sigma_mps > 0)
-    outside = (wheel.t_ns < others_ns[0]) | (wheel.t_ns > others_ns[-1])
-    rows = np.flatnonzero(sound & ~outside)
-    first = _firsts(wheel.t_ns[rows])
-    own = verdicts["wheel"]
-    own.set(slice(None), Verdict.UNUSED, f"one in {config.interval_s:g} s is taken")
-    own.set(np.delete(rows, first), Verdict.DUPLICATE, "an earlier row has the same t_ns")
+def chosen_rows(
+    drive: Drive, others_ns: Instants, config: SmoothConfig, motion: Motion,
+    verdicts: dict[str, SourceVerdicts],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:  # fmt: skip
+    """Rows of wheel speeds and of velocities that are taken, where these are asked for.
+
+    One sound row in each interval from the first of `others_ns` to the last, best at one of these
+    instants, as it then needs no keyframe of its own; the others get their verdicts.
+    """
+    wheels = velocities = np.empty(0, np.int64)
+    wheel, velocity = wheel_of(drive), velocity_of(drive)
+    if wheel is not None and motion.vehicle.wheel_speed:
+        sound = np.isfinite(wheel.speed_mps) & _positive(wheel.sigma_mps)
+        source, interval_s = wheel_source(drive), motion.vehicle.interval_s
+        own = verdicts[source]
+        why = "speed or sigma is not finite, or sigma is not above 0"
+        why = UNSOUND_ODOMETRY if source == "odometry" else why
+        wheels = _chosen(wheel.t_ns, sound, why, others_ns, interval_s, own)
+    asked = config.motion.velocities
+    if velocity is not None and (motion.is_made_up if asked is None else asked):
+        sound = np.isfinite(velocity.v_world_mps).all(-1) & _positive(velocity.sigma_mps)
+        why = "velocity or sigma is not finite, or sigma is not above 0"
+        own, interval_s = verdicts["velocity"], config.motion.interval_s
+        velocities = _chosen(velocity.t_ns, sound, why, others_ns, interval_s, own)
+    return wheels, velocities
+
+
+def _positive(sigma: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(sigma) & (sigma > 0))
+
+
+def _chosen(
+    t_ns: Instants, sound: NDArray[np.bool_], why: str, others_ns: Instants, interval_s: float,
+    own: SourceVerdicts,
+) -> NDArray[np.int64]:  # fmt: skip
+    """Rows that are taken of a table with these instants."""
+    outside = (t_ns < others_ns[0]) | (t_ns > others_ns[-1])
+    own.set(slice(None), Verdict.UNUSED, f"one in {interval_s:g} s is taken")
+    inside = np.flatnonzero(~outside)
+    rows = inside[sound_rows(t_ns[inside], sound[inside], why, own, inside)]
     own.set(outside, Verdict.OUTSIDE, "before the first keyframe or after the last")
-    own.set(~sound, Verdict.INVALID, "speed or sigma is not finite, or sigma is not above 0")
-    rows = rows[first]
-    at_ns = wheel.t_ns[rows]
-    taken = rows[_one_each(at_ns, ~np.isin(at_ns, others_ns), int(others_ns[0]), config)]
-    own.set(taken, Verdict.UNUSED, "not reached")
+    own.set(~sound, Verdict.INVALID, why)
+    at_ns = t_ns[rows]
+    taken = rows[_one_each(at_ns, ~np.isin(at_ns, others_ns), int(others_ns[0]), interval_s)]
+    own.set(taken, Verdict.UNUSED, NOT_REACHED)
     return taken
 
 
 def constraints(
-    drive: Drive, imu: ImuSamples, t_ns: Instants, is_keyframe: NDArray[np.bool_],
-    wheel_rows: NDArray[np.int64], config: VehicleConfig,
+    drive: Drive, motion: Motion, t_ns: Instants, is_keyframe: NDArray[np.bool_],
+    rows: tuple[NDArray[np.int64], NDArray[np.int64]],
 ) -> Constraints:  # fmt: skip
-    """Constraints of the epochs `t_ns`; `imu` are the drive's sound samples, and `wheel_rows` are
-    true at keyframes."""
-    row = np.full(len(t_ns), -1)
-    wheel = wheel_of(drive)
-    if wheel is not None:
-        row[np.searchsorted(t_ns, wheel.t_ns[wheel_rows])] = wheel_rows
+    """Constraints of the epochs `t_ns`; the rows of `chosen_rows` are true at keyframes."""
+    config, imu, wheel = motion.vehicle, motion.samples, wheel_of(drive)
+    row, velocity_row = (
+        _rows_at(t_ns, table, taken)
+        for table, taken in zip((wheel, velocity_of(drive)), rows, strict=True)
+    )
     keys = np.flatnonzero(is_keyframe)
-    chosen = keys[_one_each(t_ns[keys], row[keys] < 0, int(t_ns[0]), config)]
+    chosen = keys[_one_each(t_ns[keys], row[keys] < 0, int(t_ns[0]), config.interval_s)]
     in_force = row >= 0
-    in_force[chosen] |= config.non_holonomic
+    in_force[chosen] |= bool(config.non_holonomic)
     stands, rate = np.zeros(len(t_ns), bool), np.zeros((len(t_ns), 3))
     if config.zero_velocity:
         quiet, mean = _quiet(imu, t_ns[chosen], config)
-        rate[chosen] = mean @ drive.rig.T_veh_imu[:3, :3].T
+        rate[chosen] = mean @ motion.T_veh_imu[:3, :3].T
         stands[chosen] = [
             still and not _moves(int(t), wheel, drive.gnss, config)
             for still, t in zip(quiet, t_ns[chosen], strict=True)
         ]
     mean, _ = _moments(imu, t_ns, PITCH_WINDOW_S)
-    ahead = mean @ np.append(drive.rig.T_veh_imu[0, :3], np.zeros(3))
-    return Constraints(in_force, row, stands, rate, np.clip(ahead, -TYRES_MPS2, TYRES_MPS2))
+    ahead = mean @ np.append(motion.T_veh_imu[0, :3], np.zeros(3))
+    return Constraints(
+        in_force, row, velocity_row, stands, rate, np.clip(ahead, -TYRES_MPS2, TYRES_MPS2)
+    )
+
+
+def _rows_at(t_ns: Instants, table: Table | None, taken: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(K,) row of a table that is true at an epoch, of those taken; -1 where there is none."""
+    row = np.full(len(t_ns), -1)
+    if table is not None:
+        row[np.searchsorted(t_ns, table.t_ns[taken])] = taken
+    return row
 
 
 def wheel_of(drive: Drive) -> WheelSpeeds | None:
-    """The drive's wheel speeds, if it has any."""
+    """The drive's wheel speeds, or without them those of its odometry, if it has any."""
     table = drive.tables.get("wheel")
-    return table if isinstance(table, WheelSpeeds) and len(table) else None
+    if isinstance(table, WheelSpeeds) and len(table):
+        return table
+    table = drive.tables.get("odometry")
+    if isinstance(table, Odometry) and len(table):
+        speed_mps = np.where(sound_odometry(table), table.speed_mps, np.nan)
+        return WheelSpeeds(table.t_ns, table.received_ns, speed_mps, table.sigma_speed_mps)
+    return None
+
+
+def wheel_source(drive: Drive) -> str:
+    """The name of the table that `wheel_of` takes."""
+    wheel = drive.tables.get("wheel")
+    return "wheel" if isinstance(wheel, WheelSpeeds) and len(wheel) else "odometry"
+
+
+def velocity_of(drive: Drive) -> EnuVelocities | None:
+    """The drive's velocities in the world, if it has any."""
+    table = drive.tables.get("velocity")
+    return table if isinstance(table, EnuVelocities) and len(table) else None
 
 
 def _one_each(
-    t_ns: Instants, worse: NDArray[np.bool_], first_ns: int, config: VehicleConfig
+    t_ns: Instants, worse: NDArray[np.bool_], first_ns: int, interval_s: float
 ) -> NDArray[np.int64]:
     """Index of one of the instants (n,) in each interval: the first, of those that are not worse
     where there are any."""
-    bucket = (t_ns - first_ns) // seconds_to_ns(config.interval_s)
+    bucket = (t_ns - first_ns) // seconds_to_ns(interval_s)
     order = np.lexsort((t_ns, worse, bucket))
-    return order[_firsts(bucket[order])]
-
-
-def _firsts(groups: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Index of the first of each run of equal numbers."""
-    return np.flatnonzero(np.append(True, groups[1:] != groups[:-1])[: len(groups)])
+    return order[firsts(bucket[order])]
 
 
 def _quiet(

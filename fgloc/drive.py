@@ -44,6 +44,22 @@ class ImuNoise:
     gyro_bias_sigma_radps: float = 0.01
 
 
+@dataclass(frozen=True, eq=False)
+class AxisNoise:
+    """The numbers of `ImuNoise` for axes that are not alike, (3,) each, x forward and z up."""
+
+    accel_noise_mps2_per_sqrt_hz: Array
+    gyro_noise_radps_per_sqrt_hz: Array
+    accel_bias_walk_mps3_per_sqrt_hz: Array
+    gyro_bias_walk_radps2_per_sqrt_hz: Array
+    accel_bias_sigma_mps2: Array
+    gyro_bias_sigma_radps: Array
+
+
+Noise = ImuNoise | AxisNoise
+"""Of an IMU, or of what stands for one."""
+
+
 @dataclass(frozen=True)
 class GnssBias:
     """A slowly varying error of the fixes: first-order Gauss-Markov, each axis of ENU alike.

@@ -183,12 +183,34 @@ def exp_so3(rotvec_rad: ArrayLike) -> Array:
 
 def log_so3(R: ArrayLike) -> Array:
     """Matrices (..., 3, 3) to rotation vectors (..., 3) of angle at most pi."""
+    R = np.asarray(R, float)
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    if not (trace > 0).all():  # some turn by more than 120 degrees
+        return _log_of_any(R)
+    sine_axis = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0],
+                          R[..., 1, 0] - R[..., 0, 1]], -1) / 2  # fmt: skip
+    sine = np.sqrt((sine_axis * sine_axis).sum(-1))
+    small = sine < _SMALL_RAD
+    angle = np.arctan2(sine, (trace - 1) / 2)
+    return sine_axis * np.where(small, 1.0, angle / np.where(small, 1.0, sine))[..., None]
+
+
+def _log_of_any(R: Array) -> Array:
+    """The same where the sine of the angle may be near 0 and the angle near pi."""
     q = matrix_to_quat_xyzw(R)
     q = np.where(q[..., 3:] < 0, -q, q)
     sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, q[..., 3:])
     small = sine < _SMALL_RAD
     return q[..., :3] * np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+
+
+def pose_cov_to_world(R_world_veh: Array, cov: Array) -> Array:
+    """(N, 6, 6) of (rotation, translation) in the vehicle frame to (position, rotation) in ENU."""
+    turn = np.zeros((len(R_world_veh), 6, 6))
+    turn[:, :3, 3:] = R_world_veh
+    turn[:, 3:, :3] = R_world_veh
+    return turn @ cov @ turn.swapaxes(-1, -2)
 
 
 def right_jacobian_so3(rotvec_rad: ArrayLike) -> Array:

@@ -5,10 +5,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.drive import Drive
 from fgloc.errors import InputError
@@ -195,8 +197,8 @@ def summarize(
 
 def format_verdicts(verdicts: Verdicts) -> str:
     """The text of `verdicts.csv`: one row per measurement, source by source; NaN is left empty."""
-    rows = [row for table in verdicts.values() for row in _verdict_rows(table)]
-    return ",".join(VERDICT_COLUMNS) + "\n" + "".join(rows)
+    rows = chain.from_iterable(map(_verdict_rows, verdicts.values()))
+    return "".join([",".join(VERDICT_COLUMNS) + "\n", *rows])
 
 
 def format_posts(posts: PostStates, drive: Drive) -> str:
@@ -298,25 +300,33 @@ def _plain(metrics: Mapping[str, Metric]) -> dict[str, Any]:
     return {name: metric.to_dict() for name, metric in metrics.items()}
 
 
-def _verdict_rows(table: SourceVerdicts) -> list[str]:
-    """Lines of one source. Most have no numbers: these share their ends by fate and reason."""
-    fates, reasons = table.verdict.tolist(), table.reason.tolist()
-    plain = {pair: _end(*pair, ",0,") for pair in set(zip(fates, reasons, strict=True))}
-    ends = list(map(plain.__getitem__, zip(fates, reasons, strict=True)))
-    numbered = (table.dof != 0) | ~np.isnan(table.nis) | ~np.isnan(table.threshold)
-    for row in np.flatnonzero(numbered).tolist():
-        numbers = f"{_number(table.nis[row])},{table.dof[row]},{_number(table.threshold[row])}"
-        ends[row] = _end(fates[row], reasons[row], numbers)
-    t = list(map(str, table.t_ns.tolist()))
-    at_once = np.array_equal(table.t_ns, table.received_ns)
-    received = t if at_once else list(map(str, table.received_ns.tolist()))
-    source = _cell(table.source)
-    return [f"{source},{a},{b},{end}" for a, b, end in zip(t, received, ends, strict=True)]
+def _verdict_rows(table: SourceVerdicts) -> Iterator[str]:
+    """Lines of one source, together for each run of rows with one verdict and reason."""
+    if not len(table):
+        return
+    source, times = _cell(table.source), _lines(table.t_ns, table.received_ns)
+    numbers = None
+    if table.dof.any() or not (np.isnan(table.nis) & np.isnan(table.threshold)).all():
+        found = _lines(table.nis, table.dof, table.threshold)
+        numbers = [row.replace("NaN", "").replace("Infinity", "inf") for row in found]
+    changes = table.verdict[1:] != table.verdict[:-1]
+    changes |= table.reason[1:] != table.reason[:-1]
+    for first, stop in pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(table)]):
+        fate, reason = _cell(table.verdict[first]), _cell(table.reason[first])
+        rows = times[first:stop]
+        if numbers is None:
+            end = f",{fate},,0,,{reason}\n"
+            yield f"{source},{f'{end}{source},'.join(rows)}{end}"
+        else:
+            both = zip(rows, numbers[first:stop], strict=True)
+            yield "".join([f"{source},{t},{fate},{n},{reason}\n" for t, n in both])
 
 
-def _end(fate: str, reason: str, numbers: str) -> str:
-    """The columns from the verdict on; `numbers` are nis, dof and threshold."""
-    return f"{_cell(fate)},{numbers},{_cell(reason)}\n"
+def _lines(*columns: NDArray[Any]) -> list[str]:
+    """The rows of some columns of numbers, with commas between."""
+    from fgloc.datasets.csv_table import format_rows
+
+    return [line for lines in format_rows(columns) for line in lines.splitlines()]
 
 
 def _number(value: float) -> str:

@@ -16,13 +16,16 @@ from fgloc.constraints import (
     NON_HOLONOMIC,
     STANDSTILL,
     Constraints,
-    chosen_wheel_rows,
+    chosen_rows,
     constraints,
+    velocity_of,
     wheel_of,
 )
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
-from fgloc.measurements import Array, GnssFixes, ImuSamples
+from fgloc.measurements import Array, ImuSamples
+from fgloc.motion import Motion, credit, kind_of, made_up, measured
+from fgloc.positions import Positions, measured_positions, repeats
 from fgloc.result import Event
 from fgloc.timing import Instants, elapsed_s, seconds_to_ns
 from fgloc.verdicts import SourceVerdicts, Verdict
@@ -35,7 +38,6 @@ class Epochs:
     t_ns          (K,) instants, increasing
     is_keyframe   (K,) bool
     in_gap        (K,) bool: the interval that ends here lies in an IMU gap
-    fix_row       (K,) row of the GNSS fix true at the epoch, -1 where there is none
     first_sample  (K + 1,) samples first_sample[k]:first_sample[k + 1] lead from epoch k - 1 to k
     accel_mps2    (M, 3) mean specific force of each step between samples: at the IMU's place,
                   along the vehicle's axes
@@ -47,7 +49,6 @@ class Epochs:
     t_ns: Instants
     is_keyframe: NDArray[np.bool_]
     in_gap: NDArray[np.bool_]
-    fix_row: NDArray[np.int64]
     first_sample: NDArray[np.int64]
     accel_mps2: Array
     gyro_radps: Array
@@ -70,56 +71,68 @@ class Epochs:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Epochs of a drive, the vehicle's constraints at them, the first verdicts on every row, and
-    what there was to remark."""
+    """Epochs of a drive, what leads from one to the next, the positions measured and the vehicle's
+    constraints at them, the first verdicts on every row, and what there was to remark."""
 
     epochs: Epochs
+    motion: Motion
+    positions: Positions
     constraints: Constraints
     verdicts: dict[str, SourceVerdicts]
     events: tuple[Event, ...]
 
 
 def plan(drive: Drive, config: SmoothConfig) -> Plan:
-    """Epochs from the first usable fix to the last IMU sample.
+    """Epochs from the first usable fix to the last IMU sample, or what stands for one.
 
-    Raises DriveError where there are no fixes, no IMU, or the two do not overlap in time.
+    Raises DriveError where there are no fixes, or they do not overlap in time with the IMU.
     """
-    gnss = drive.gnss
     verdicts = {
         name: SourceVerdicts.of(name, table, Verdict.UNUSED, f"no {name} factor in this method")
         for name, table in drive.tables.items()
     }
-    imu = _usable_samples(drive.imu, verdicts["imu"], drive.name)
-    usable = _usable_fixes(gnss, imu, verdicts["gnss"], drive.name)
-    first, last = gnss.t_ns[usable[0]], imu.t_ns[-1]
-    _judge_early(drive.imu, imu, first, verdicts["imu"])
-    gaps = _gaps(imu, first, config.imu.gap_s)
-    keyframes = _merged(gnss.t_ns[usable], gaps.ravel(), [first, last])
-    wheel_rows = chosen_wheel_rows(drive, keyframes, config.vehicle, verdicts)
-    keyframes = _merged(keyframes, _times(drive, wheel_rows))
-    keyframes = _fill(keyframes, _keyframe_interval_s(config))
+    motion = _motion(drive, config, verdicts)
+    imu = motion.samples
+    span_ns = (int(imu.t_ns[0]), int(imu.t_ns[-1]))
+    positions = measured_positions(drive, config, span_ns, verdicts)
+    first, last = positions.t_ns[0], imu.t_ns[-1]
+    if not motion.is_made_up:
+        _judge_early(drive.imu, imu, first, verdicts["imu"])
+    gaps = _gaps(imu, first, motion.gap_s)
+    keyframes = _merged(positions.t_ns, gaps.ravel(), [first, last])
+    rows = chosen_rows(drive, keyframes, config, motion, verdicts)
+    credit(motion, verdicts)
+    keyframes = _merged(keyframes, *_times(drive, rows))
+    keyframes = _fill(keyframes, _keyframe_interval_s(config, motion))
     t_ns = _fill(keyframes, config.output_interval_s)
-    fix_row = np.full(len(t_ns), -1)
-    fix_row[np.searchsorted(t_ns, gnss.t_ns[usable])] = usable
     in_gap = np.zeros(len(t_ns), bool)
     for start, end in gaps:
         in_gap |= (t_ns > start) & (t_ns <= end)
-    steps = _steps(imu, drive.rig.T_veh_imu[:3, :3], t_ns)
+    steps = _steps(imu, motion.T_veh_imu[:3, :3], t_ns)
     is_keyframe = np.zeros(len(t_ns), bool)
     is_keyframe[np.searchsorted(t_ns, keyframes)] = True
-    epochs = Epochs(t_ns, is_keyframe, in_gap, fix_row, *steps)
-    held = constraints(drive, imu, t_ns, epochs.is_keyframe, wheel_rows, config.vehicle)
-    _count(held, t_ns, config, verdicts)
-    return Plan(epochs, held, verdicts, _gap_events(gaps))
+    epochs = Epochs(t_ns, is_keyframe, in_gap, *steps)
+    held = constraints(drive, motion, t_ns, epochs.is_keyframe, rows)
+    _count(held, t_ns, motion, verdicts)
+    return Plan(epochs, motion, positions, held, verdicts, _gap_events(gaps, motion))
+
+
+def _motion(drive: Drive, config: SmoothConfig, verdicts: dict[str, SourceVerdicts]) -> Motion:
+    """The drive's IMU, or what stands for one."""
+    kind = kind_of(drive, config)
+    if kind == "imu":
+        samples = _usable_samples(drive.imu, verdicts["imu"], drive.name)
+        return measured(drive, samples, config)
+    return made_up(drive, kind, config, verdicts)
 
 
 def _count(
-    held: Constraints, t_ns: Instants, config: SmoothConfig, verdicts: dict[str, SourceVerdicts]
+    held: Constraints, t_ns: Instants, motion: Motion, verdicts: dict[str, SourceVerdicts]
 ) -> None:
     """Constraints that nobody measured get verdicts of their own, where they are asked for."""
     for name, asked, where in (
-        (NON_HOLONOMIC, config.vehicle.non_holonomic, held.in_force),
-        (STANDSTILL, config.vehicle.zero_velocity, held.stands),
+        (NON_HOLONOMIC, motion.vehicle.non_holonomic, held.in_force),
+        (STANDSTILL, motion.vehicle.zero_velocity, held.stands),
     ):
         if asked:
             at_ns = t_ns[where]
@@ -128,60 +141,28 @@ def _count(
             )
 
 
-def _times(drive: Drive, wheel_rows: NDArray[np.int64]) -> Instants:
-    wheel = wheel_of(drive)
-    return np.empty(0, np.int64) if wheel is None else wheel.t_ns[wheel_rows]
+def _times(drive: Drive, rows: tuple[NDArray[np.int64], NDArray[np.int64]]) -> tuple[Instants, ...]:
+    tables = wheel_of(drive), velocity_of(drive)
+    return tuple(t.t_ns[taken] for t, taken in zip(tables, rows, strict=True) if t is not None)
 
 
-def _keyframe_interval_s(config: SmoothConfig) -> float:
+def _keyframe_interval_s(config: SmoothConfig, motion: Motion) -> float:
     """The vehicle's constraints need states of their own where the measurements give none."""
-    asked = config.vehicle.non_holonomic or config.vehicle.zero_velocity
-    return min(config.keyframe_interval_s, config.vehicle.interval_s if asked else np.inf)
+    asked = motion.vehicle.non_holonomic or motion.vehicle.zero_velocity
+    return min(config.keyframe_interval_s, motion.vehicle.interval_s if asked else np.inf)
 
 
 def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> ImuSamples:
     """The samples that are finite and the first of their instant."""
     values = np.hstack([imu.accel_mps2, imu.gyro_radps])
     finite = np.asarray(np.isfinite(values).all(-1))
-    duplicate = _repeats(imu.t_ns, finite)
+    duplicate = repeats(imu.t_ns, finite)
     verdicts.set(slice(None), Verdict.USED)
     verdicts.set(duplicate, Verdict.DUPLICATE, "an earlier row has the same t_ns")
     verdicts.set(~finite, Verdict.INVALID, "specific force or angular rate is not finite")
     if not finite.any():
         raise DriveError(f"drive {name!r}: none of its {len(imu)} IMU samples is finite")
     return imu.take(finite & ~duplicate)
-
-
-def _usable_fixes(
-    gnss: GnssFixes, imu: ImuSamples, verdicts: SourceVerdicts, name: str
-) -> NDArray[np.int64]:
-    """Rows that can enter: sound, the first such of their instant, and where there is an IMU."""
-    finite = np.isfinite(gnss.p_world_ant_m).all(-1) & np.isfinite(gnss.cov_world_m2).all((-1, -2))
-    definite = np.zeros(len(gnss), bool)
-    definite[finite] = np.linalg.eigvalsh(gnss.cov_world_m2[finite])[:, 0] > 0
-    duplicate = _repeats(gnss.t_ns, definite)
-    outside = (gnss.t_ns < imu.t_ns[0]) | (gnss.t_ns > imu.t_ns[-1])
-    verdicts.set(slice(None), Verdict.UNUSED, "not reached")
-    verdicts.set(duplicate, Verdict.DUPLICATE, "an earlier row has the same t_ns")
-    verdicts.set(outside, Verdict.OUTSIDE, "no IMU samples at this time")
-    verdicts.set(~definite, Verdict.INVALID, "the covariance is not positive definite")
-    verdicts.set(~finite, Verdict.INVALID, "position or covariance is not finite")
-    usable = np.flatnonzero(definite & ~duplicate & ~outside)
-    if len(usable) < 2:
-        raise DriveError(
-            f"drive {name!r}: {len(usable)} of {len(gnss)} GNSS fixes lie within the IMU's span of "
-            f"time and are valid ({int(outside.sum())} outside, {int((~definite).sum())} invalid); "
-            "at least 2 are needed (are both on the same clock? GPS is 18 s ahead of UTC)"
-        )
-    return usable
-
-
-def _repeats(t_ns: Instants, sound: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(N,) bool: sound rows of an instant that an earlier sound row has already told of."""
-    rows = np.flatnonzero(sound)
-    repeats = np.zeros(len(t_ns), bool)
-    repeats[rows[1:]] = t_ns[rows[1:]] == t_ns[rows[:-1]]
-    return repeats
 
 
 def _judge_early(
@@ -201,9 +182,10 @@ def _gaps(imu: ImuSamples, first_ns: int, gap_s: float) -> NDArray[np.int64]:
     return np.maximum(gaps, first_ns)
 
 
-def _gap_events(gaps: NDArray[np.int64]) -> tuple[Event, ...]:
+def _gap_events(gaps: NDArray[np.int64], motion: Motion) -> tuple[Event, ...]:
+    missing = "yaw rates" if motion.is_made_up else "IMU samples"
     return tuple(
-        Event(int(start), "imu gap", f"no IMU samples for {(end - start) / 1e9:.2f} s; "
+        Event(int(start), "imu gap", f"no {missing} for {(end - start) / 1e9:.2f} s; "
               "bridged with unknown acceleration and turn rate")
         for start, end in gaps
     )  # fmt: skip

@@ -23,6 +23,7 @@ class Verdict(StrEnum):
     DUPLICATE = "duplicate"
     INVALID = "invalid"
     OUTSIDE = "outside"
+    OTHER = "other object"
     UNUSED = "unused"
 
     __hash__ = str.__hash__  # as quick as text: there is one for every measurement

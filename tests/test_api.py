@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from baselines.roadside import roadside_drive
 
 import fgloc
 from fgloc import baselines
@@ -146,7 +147,8 @@ def test_unknown_baselines_are_refused_with_the_nearest(drive, method, says):
         fgloc.baseline(drive, method)
 
 
-def test_every_baseline_that_is_listed_runs(drive):
+def test_every_baseline_that_is_listed_runs():
+    drive = roadside_drive(1, duration_s=40.0)
     sway = fgloc.make("khamooshi2023/sway-low", duration_s=2.0)
     for_posts = {"khamooshi2023-uio", "sway-kf", "raw:node_poses"}
     for name in set(baselines.available()) - {"khamooshi2023-uio-printed"}:

@@ -4,15 +4,23 @@ import dataclasses
 import json
 import re
 
+import numpy as np
 import pytest
+from baselines.roadside import roadside_drive
 from test_report import Page, without_scripts
 
 import fgloc
 from fgloc.cli import main
 from fgloc.datasets.drive_folder import write_drive
+from fgloc.evaluation.conditions import ELSEWHERE, IN_RANGE
 from fgloc.outputs import write_comparison
 from fgloc.report.comparison_page import render
-from fgloc.report.versus import errors_of_methods, method_style, plan_of_methods
+from fgloc.report.versus import (
+    errors_of_methods,
+    histogram_of_methods,
+    method_style,
+    plan_of_methods,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +41,12 @@ def table(drive):
         drive, ["graph-batch", "raw:gnss"],
         configs={"plain": fgloc.SmoothConfig.model_validate({"gnss": {"loss": "none"}})},
     )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def passes():
+    """A drive past a roadside node."""
+    return fgloc.compare(roadside_drive(1, duration_s=60.0), ["raw:gnss", "lee2021-ekf"])
 
 
 def test_the_command_writes_a_table_and_a_page(folder, tmp_path, capsys):
@@ -100,7 +114,8 @@ def test_the_page_loads_nothing_and_holds_every_section(table):
     assert page.loads == ["data:,"] and "http" not in without_scripts(text)
     assert page.headings == [
         "3 methods compared", "Run by run", "Plan view: city", "Errors over time: city",
-        "Distribution of errors: city", "How their configurations differ",
+        "Distribution of errors: city", "Histogram of errors: city",
+        "How their configurations differ",
     ]  # fmt: skip
     assert without_scripts(text).count("gnss.loss") == 1
     assert "gnss.loss_width" not in text  # what is equal is not listed
@@ -113,6 +128,73 @@ def test_several_drives_are_summed_up_and_failures_named(drive):
     assert {"overall", "drives", "plan", "plan-1", "plan-2"} <= page.ids
     assert "city (2 drives), blind" in render(table)
     assert table.overall()[1].failed == 1 and "no imu" in render(table)
+
+
+def test_near_a_node_and_elsewhere_are_scored_apart(passes, tmp_path, capsys):
+    rows = {row.method: row for row in passes.rows}
+    filtered = rows["lee2021-ekf"]
+    parts = [filtered.conditions[name].metrics for name in (IN_RANGE, ELSEWHERE)]
+    n = [one["horizontal_mean_m"].n for one in parts]
+    assert sum(n) == filtered.metrics["horizontal_mean_m"].n and min(n) > 50
+    by_hand = np.dot(n, [one["horizontal_mean_m"].value for one in parts]) / sum(n)
+    assert filtered.metrics["horizontal_mean_m"].value == pytest.approx(by_hand)
+    ratio = filtered.conditions[IN_RANGE].ratio
+    means = [rows[m].conditions[IN_RANGE].metrics["horizontal_mean_m"].value
+             for m in ("lee2021-ekf", "raw:gnss")]  # fmt: skip
+    assert ratio.value == pytest.approx(means[0] / means[1], rel=0.02)
+    assert ratio.low < ratio.value < ratio.high < 1
+    standing = passes.standings()
+    assert [s.condition for s in standing] == ["whole drive"] * 2 + [IN_RANGE] * 2 + [ELSEWHERE] * 2
+    assert standing[0].ratio is None and standing[3].ratio == ratio
+    plain = passes.to_dict()
+    assert plain["rows"][1]["conditions"][IN_RANGE]["ratio"]["value"] == ratio.value
+    assert len(plain["standings"]) == 6
+
+
+def test_the_page_shades_the_range_of_the_node_and_shows_histograms_there(passes):
+    page = Page(render(passes))
+    assert {"conditions", "histogram", "cdf", "cdf-near"} <= page.ids
+    picture = passes.pictures[0]
+    shapes = errors_of_methods(picture, passes.methods)["layout"]["shapes"]
+    near = picture.masks[IN_RANGE]
+    t_s = (picture.truth.t_ns[near] - picture.start_ns) / 1e9
+    assert shapes[0]["x0"] == t_s[0] and shapes[-1]["x1"] == t_s[-1]
+    histogram = histogram_of_methods(picture, passes.methods)["data"]
+    assert [one["name"] for one in histogram] == ["raw:gnss", "lee2021-ekf"]
+    for one in histogram:
+        assert 0.98 < one["y"][:-1].sum() <= 1 + 1e-9
+    assert plan_of_methods(picture, passes.methods)["data"][-1]["name"] == "node"
+
+
+def test_over_several_drives_the_ratio_is_of_the_sums():
+    drives = [roadside_drive(seed, duration_s=40.0) for seed in (1, 3)]
+    table = fgloc.compare(drives, ["raw:gnss", "lee2021-ekf"])
+    means = {m: [r.metrics["horizontal_mean_m"].value for r in table.of(m)] for m in table.methods}
+    ratio = table.standings()[1].ratio
+    assert ratio.n == 2 and ratio.low <= ratio.value <= ratio.high
+    assert ratio.value == pytest.approx(
+        sum(means["lee2021-ekf"]) / sum(means["raw:gnss"]), rel=0.01
+    )
+
+
+def test_a_method_that_says_little_is_compared_where_it_does():
+    drives = [roadside_drive(seed, duration_s=40.0) for seed in (1, 3)]
+    table = fgloc.compare(drives, ["raw:gnss", "raw:detections"])
+    standing = table.standings()[1]
+    pairs = np.array([row.means for row in table.of("raw:detections")])
+    assert standing.ratio.value == pytest.approx(pairs[:, 0].sum() / pairs[:, 1].sum())
+    assert all(row.metrics["scored_share"].value < 0.9 for row in table.of("raw:detections"))
+    own = [row.metrics["horizontal_mean_m"].value for row in table.of("raw:detections")]
+    np.testing.assert_allclose(pairs[:, 0], own, rtol=0.02)
+
+
+def test_the_command_prints_the_conditions(tmp_path, capsys):
+    write_drive(roadside_drive(1, duration_s=40.0), tmp_path / "drive")
+    status = main(["compare", str(tmp_path / "drive"), "--methods", "raw:gnss,lee2021-ekf",
+                   "--no-report", "--out", str(tmp_path / "out")])  # fmt: skip
+    shown = capsys.readouterr().out
+    assert status == 0 and "within the range of a node, elsewhere" in shown
+    assert "mean / raw:gnss" in shown and re.search(r"^in range +lee2021-ekf +0\.", shown, re.M)
 
 
 def test_without_truth_the_paths_are_shown_all_the_same(drive, tmp_path):

@@ -59,11 +59,10 @@ def changed(table, row, **columns):
 
 
 def test_every_fix_has_its_keyframe():
-    epochs = plan_of(fix_s=[0.5, 1.25, 3.003, 7.0]).epochs
-    with_fix = epochs.fix_row >= 0
-    assert seconds(epochs.t_ns[with_fix]) == [0.5, 1.25, 3.003, 7.0]
-    assert epochs.fix_row[with_fix].tolist() == [0, 1, 2, 3]
-    assert epochs.is_keyframe[with_fix].all()
+    made = plan_of(fix_s=[0.5, 1.25, 3.003, 7.0])
+    assert seconds(made.positions.t_ns) == [0.5, 1.25, 3.003, 7.0]
+    assert made.positions.row.tolist() == [0, 1, 2, 3]
+    assert np.isin(made.positions.t_ns, made.epochs.t_ns[made.epochs.is_keyframe]).all()
 
 
 def test_epochs_reach_from_the_first_fix_to_the_last_sample():
@@ -223,7 +222,7 @@ def test_a_sound_fix_stands_in_for_an_invalid_one_of_the_same_instant():
     made = plan(drive_of(gnss, samples(ns(EVERY_10_MS))), load_config())
     expected = [Verdict.UNUSED, Verdict.INVALID, Verdict.UNUSED, Verdict.DUPLICATE, Verdict.UNUSED]
     assert made.verdicts["gnss"].verdict.tolist() == expected
-    assert made.epochs.fix_row[made.epochs.fix_row >= 0].tolist() == [0, 2, 4]
+    assert made.positions.row.tolist() == [0, 2, 4]
 
 
 def test_a_sample_that_is_not_finite_is_invalid_and_stepped_over():
@@ -275,7 +274,8 @@ def test_fewer_than_two_usable_fixes_point_to_the_clocks(fix_s, usable):
         plan_of(fix_s=fix_s)
 
 
-def test_a_drive_without_imu_is_refused():
+def test_a_drive_without_imu_is_refused_where_one_is_asked_for():
     drive = Drive("test", Origin(52.0, 9.0, 0.0), Rig(), {"gnss": fixes(ns([1, 2]))})
     with pytest.raises(DriveError, match=r"'test' has no imu rows \(it has gnss\)"):
-        plan(drive, load_config())
+        plan(drive, load_config(motion={"kind": "imu"}))
+    assert plan(drive, load_config()).motion.kind == "constant-velocity"

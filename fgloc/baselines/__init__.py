@@ -14,6 +14,11 @@ from fgloc.result import Result
 __all__ = ["RAW", "available", "check", "run"]
 
 _METHODS: dict[str, str] = {
+    "lee2021-ekf": "lee2021_ekf.run",
+    "lee2021-ekf:on-arrival": "lee2021_ekf.run_on_arrival",
+    "lee2021-ekf:printed": "lee2021_ekf.run_printed",
+    "eskf": "eskf.run",
+    "eskf:velocity": "eskf.run_by_velocity",
     "khamooshi2023-uio": "khamooshi2023_uio.run_kinematic",
     "khamooshi2023-uio-printed": "khamooshi2023_uio.run_printed",
     "sway-kf": "sway_kf.run_sway_kf",
@@ -27,7 +32,7 @@ RAW = "raw:"
 
 def available() -> list[str]:
     """The names of all methods."""
-    return [*_METHODS, f"{RAW}gnss"]
+    return [*_METHODS, f"{RAW}gnss", f"{RAW}detections"]
 
 
 def check(method: str, others: tuple[str, ...] = ()) -> None:

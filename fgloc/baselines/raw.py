@@ -2,23 +2,21 @@
 
 What everything else has to be better than. Each GNSS fix is a state: the antenna's position with
 the covariance that the receiver states. Between fixes the evaluation interpolates: by a cubic
-curve where the receiver gives velocities, by a straight line where it does not.
+curve where the receiver gives velocities, by a straight line where it does not. What becomes of
+detections by roadside nodes is in `raw_detections`.
 """
-
-from dataclasses import asdict
 
 import numpy as np
 
 from fgloc.baselines import RAW
+from fgloc.baselines.planar import summarize, with_unknown_attitude
+from fgloc.baselines.raw_detections import trajectory_of_detections
 from fgloc.drive import Drive
 from fgloc.errors import DriveError, InputError, nearest
-from fgloc.measurements import Array, GnssFixes
+from fgloc.measurements import Array, GnssFixes, NodeDetections
 from fgloc.result import Result
 from fgloc.trajectory import Trajectory
-from fgloc.verdicts import SourceVerdicts, Verdict, counts
-
-UNKNOWN_ROTATION_RAD2 = np.pi**2 / 3
-"""Variance of an angle uniform over the circle: of the attitude a fix says nothing."""
+from fgloc.verdicts import SourceVerdicts, Verdict
 
 
 def run_raw(drive: Drive, source: str) -> Result:
@@ -26,33 +24,31 @@ def run_raw(drive: Drive, source: str) -> Result:
 
     Raises InputError where the drive has no such source or it does not tell positions.
     """
-    table = _positions(drive, source)
+    table = _table(drive, source)
     method = f"{RAW}{source}"
     verdicts = {
         name: SourceVerdicts.of(name, other, Verdict.UNUSED, f"{method} takes {source} alone")
         for name, other in drive.tables.items()
     }
-    rows = _judge(table, verdicts[source])
-    trajectory = _trajectory(table, rows, drive.rig.p_veh_ant_m)
-    summary = {
-        "drive": drive.name,
-        "method": method,
-        "mode": "raw",
-        "states": len(trajectory),
-        "factors": 0,
-        "counts": counts(verdicts),
-        "origin": asdict(drive.origin),
-        "duration_s": float(trajectory.t_ns[-1] - trajectory.t_ns[0]) / 1e9,
-    }
+    if isinstance(table, NodeDetections):
+        trajectory = trajectory_of_detections(drive, table, verdicts[source])
+    else:
+        rows = _judge(table, verdicts[source])
+        trajectory = _trajectory(table, rows, drive.rig.p_veh_ant_m)
+    summary = summarize(drive, method, "raw", trajectory, verdicts)
     return Result(trajectory, verdicts, summary, method, causal=True)
 
 
-def _positions(drive: Drive, source: str) -> GnssFixes:
+def _table(drive: Drive, source: str) -> GnssFixes | NodeDetections:
     """The table of a source that tells positions."""
     table = drive.tables.get(source)
-    if isinstance(table, GnssFixes) and len(table):
+    if isinstance(table, GnssFixes | NodeDetections) and len(table):
         return table
-    able = [name for name, other in drive.tables.items() if isinstance(other, GnssFixes)]
+    able = [
+        name
+        for name, other in drive.tables.items()
+        if isinstance(other, GnssFixes | NodeDetections)
+    ]
     if not able:
         raise InputError(f"drive {drive.name!r} has no source that tells positions by itself")
     fault = "it has no such source"
@@ -81,13 +77,10 @@ def _judge(fixes: GnssFixes, verdicts: SourceVerdicts) -> np.ndarray:
 
 def _trajectory(fixes: GnssFixes, rows: np.ndarray, p_veh_ant_m: Array) -> Trajectory:
     velocity = fixes.v_world_mps[rows]
-    cov = np.zeros((len(rows), 6, 6))
-    cov[:, :3, :3] = fixes.cov_world_m2[rows]
-    cov[:, 3:, 3:] = UNKNOWN_ROTATION_RAD2 * np.eye(3)
     return Trajectory(
         fixes.t_ns[rows],
         fixes.p_world_ant_m[rows],
         v_world_mps=velocity if np.isfinite(velocity).all() else None,
-        cov=cov,
+        cov=with_unknown_attitude(fixes.cov_world_m2[rows]),
         p_veh_point_m=p_veh_ant_m,
     )

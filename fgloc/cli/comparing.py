@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from fgloc.evaluation import Metric
     from fgloc.evaluation.comparison import Comparison, Row
 
+MEAN = "horizontal_mean_m"
+STANDING_METRICS = ("horizontal_std_m", "horizontal_rmse_m", "horizontal_p95_m", "anees_horizontal")
 MOST_ROWS = 40
 """Rows of single drives on screen; compare.json holds all."""
 _POST_UNITS = {"x": "mm", "y": "mm", "roll": "mrad", "pitch": "mrad"}
@@ -22,6 +24,7 @@ _EPILOG = """\b
 Examples:
   fgloc compare mems-rtk --methods graph-lag,graph-batch,raw:gnss --out table
   fgloc compare city --seeds 0:20 --methods graph-lag,raw:gnss --out table
+  fgloc compare lee2021/mcity --seeds 0:20 --methods lee2021-ekf,graph-lag --out table
   fgloc compare mems-rtk --methods graph-batch --config plain=plain.toml --out table
 """
 
@@ -128,6 +131,8 @@ def _print(found: "Comparison") -> None:
             for one in found.overall()
         ]  # fmt: skip
         table(f"Horizontal RMSE over {found.drives} drives", header, rows)
+    if any(row.conditions for row in found.rows):
+        _print_standings(found)
     _print_rows(found, found.rows[:MOST_ROWS])
     if len(found.rows) > MOST_ROWS:
         say(f"{len(found.rows) - MOST_ROWS} more rows are in compare.json")
@@ -165,6 +170,21 @@ def _post_names(row: "Row") -> list[str]:
     """What the metrics of each post of a row begin with."""
     ends = ".x_rmse_mm"
     return [name.removesuffix(ends) for name in row.metrics if name.endswith(ends)]
+
+
+def _print_standings(found: "Comparison") -> None:
+    """Near a node, elsewhere and as a whole: means over the drives."""
+    header = (
+        "where", "method", "mean in m", "95 % interval", "std in m", "RMSE in m", "95 % below",
+        "ANEES", f"mean / {found.against}", "95 % interval", "drives",
+    )  # fmt: skip
+    rows = []
+    for one in found.standings():
+        mean = one.averages[MEAN]
+        single = (_two(one.averages[name])[0] for name in STANDING_METRICS)
+        rows.append((one.condition, one.method, *_two(mean), *single, *_two(one.ratio),
+                     str(mean.n)))  # fmt: skip
+    table("Horizontal errors within the range of a node, elsewhere and on the whole", header, rows)
 
 
 def _print_rows(found: "Comparison", rows: Sequence[Any]) -> None:

@@ -76,13 +76,13 @@ def make(
 @click.argument("format_", metavar="FORMAT")
 @click.argument("source", metavar="[SOURCE]", required=False)
 @options.import_files
+@options.import_numbers
 @options.settings
 @options.out_drive
 @options.as_json
 def import_drive(
-    format_: str, source: str | None, imu: str | None, imu_noise: str | None,
-    positions: str | None, truth: str | None, settings: tuple[str, ...], out: Path,
-    overwrite: bool, as_json: bool,
+    format_: str, source: str | None, settings: tuple[str, ...], out: Path, overwrite: bool,
+    as_json: bool, **given: str | float | None,
 ) -> None:  # fmt: skip
     """Turn a recording into a drive folder.
 
@@ -91,10 +91,9 @@ def import_drive(
     """
     from fgloc.datasets import import_recording
 
-    files = {"imu": imu, "imu_noise": imu_noise, "positions": positions, "truth": truth}
-    options.check_settings(settings, **files)
+    options.check_settings(settings, **given)
     chosen = options.parse_settings(settings)
-    chosen |= {name: path for name, path in files.items() if path is not None}
+    chosen |= {name: value for name, value in given.items() if value is not None}
     with working(f"importing {source or format_}"):
         drive = import_recording(format_, source, **chosen)
         _write(drive, out, overwrite)

@@ -141,6 +141,24 @@ import_files = with_options(
     click.option("--positions", metavar="FILE", help="Trajectory (TUM) that is measured."),
     click.option("--truth", metavar="FILE", help="Trajectory (TUM) that is the truth."),
 )
+import_numbers = with_options(
+    click.option("--trial", type=int, metavar="K", help="mcity-roadside: which trial."),
+    click.option("--vehicle", type=int, metavar="ID", help="Which vehicle; 0 if not given."),
+    click.option("--gps-rate", "gps_rate_hz", type=float, metavar="HZ", help="Of simulated fixes."),
+    click.option("--gps-sigma", "gps_sigma_m", type=float, metavar="M", help="Their white noise."),
+    click.option(
+        "--gps-bias-sigma", "gps_bias_sigma_m", type=float, metavar="M",
+        help="Their slowly varying error; 0 is none.",
+    ),
+    click.option(
+        "--gps-bias-tau", "gps_bias_tau_s", type=float, metavar="S", help="Its time constant."
+    ),
+    click.option(
+        "--odometry", is_flag=True, flag_value=True, default=None, type=bool,
+        help="Simulate speed, yaw rate and velocity as well.",
+    ),
+    click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Of what is simulated."),
+)  # fmt: skip
 config = click.option(
     "--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Configuration in TOML, e.g. the config.toml of an earlier result.",

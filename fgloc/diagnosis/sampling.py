@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, robust_sigma, rows_of, warning
 from fgloc.drive import Drive
-from fgloc.measurements import Array, GnssFixes, ImuSamples, Table
+from fgloc.measurements import Array, GnssFixes, ImuSamples, NodeDetections, Table
 from fgloc.timing import NS_PER_S
 
 SLOWEST_HZ = {"gnss": 0.1, "imu": 20.0, "wheel": 1.0}
@@ -106,10 +106,10 @@ def check_gaps(drive: Drive) -> Iterator[Finding]:
 
 
 def check_duplicates(drive: Drive) -> Iterator[Finding]:
-    """Rows of an instant that another row has told of already."""
+    """Rows of an instant that another row has told of already; a node's frame has many objects."""
     for name, table in drive.tables.items():
         repeats = np.flatnonzero(np.diff(table.t_ns) == 0) + 1
-        if len(repeats):
+        if len(repeats) and not isinstance(table, NodeDetections):
             yield warning(
                 "duplicate",
                 name,

@@ -124,7 +124,9 @@ def _horizontal(drive: Drive, gnss: GnssFixes, truth: Trajectory) -> Iterator[Fi
     if len(rows) < _FEWEST:
         return
     off_m = _off_m(gnss, truth, rows)
-    sigma_m = np.sqrt(gnss.cov_world_m2[rows, 0, 0] + gnss.cov_world_m2[rows, 1, 1])
+    slow_m = 0.0 if drive.rig.gnss_bias is None else drive.rig.gnss_bias.sigma_m
+    variance_m2 = gnss.cov_world_m2[rows, 0, 0] + gnss.cov_world_m2[rows, 1, 1]
+    sigma_m = np.sqrt(variance_m2 + 2 * slow_m**2)
     arm_m = float(np.linalg.norm(truth.p_veh_point_m - drive.rig.p_veh_ant_m))
     usual_m = float(np.median(np.hypot(*off_m.T)))
     if usual_m <= 3 * float(np.nanmedian(sigma_m)) + arm_m + CLOSE_M:

@@ -7,7 +7,7 @@ those columns: `score` and `score_errors` (named metrics), `error_growth` (outag
 """
 
 from fgloc.evaluation.against_truth import MAX_GAP_S, Errors, errors
-from fgloc.evaluation.bootstrap import Bootstrap, paired_difference
+from fgloc.evaluation.bootstrap import Bootstrap, paired_difference, paired_ratio
 from fgloc.evaluation.consistency import anees_band, chi2_quantile, effective_samples, nees
 from fgloc.evaluation.gaps import Growth, Spans, error_growth, gnss_outages, outages, used_fixes_ns
 from fgloc.evaluation.judgement import Judgement, judge, judge_trajectory
@@ -38,6 +38,7 @@ __all__ = [
     "nees",
     "outages",
     "paired_difference",
+    "paired_ratio",
     "score",
     "score_errors",
     "score_posts",

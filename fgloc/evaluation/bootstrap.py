@@ -110,12 +110,8 @@ def paired_difference(
     than the luck of this drive. Both are drawn at the same rows, so what is common to both (a hard
     stretch of road) cancels. Raises InputError where the two share no instant.
     """
-    _, rows_a, rows_b = np.intersect1d(errors_a.t_ns, errors_b.t_ns, return_indices=True)
-    a, b = getattr(errors_a, column)[rows_a], getattr(errors_b, column)[rows_b]
-    known = np.isfinite(a) & np.isfinite(b)
-    if not known.any():
-        raise InputError(f"the two estimates have no instant in common where {column} is known")
-    squares, t_ns = np.stack([a, b], -1)[known] ** 2, errors_a.t_ns[rows_a][known]
+    values, t_ns = _paired(errors_a, errors_b, column)
+    squares = values**2
     low, high = _difference_interval(squares, t_ns, bootstrap or Bootstrap())
     rmse = np.sqrt(squares.mean(axis=0))
     unit = "rad" if column.endswith("_rad") else "m"
@@ -127,3 +123,45 @@ def _difference_interval(squares: Array, t_ns: Instants, bootstrap: Bootstrap) -
         return None, None
     rmse = np.sqrt(np.maximum(bootstrap.resampled_means(squares, t_ns), 0.0))
     return bootstrap._interval(rmse[:, 0] - rmse[:, 1])
+
+
+def paired_ratio(
+    errors_a: Errors,
+    errors_b: Errors,
+    *,
+    column: str = "horizontal_m",
+    bootstrap: Bootstrap | None = None,
+) -> Metric:
+    """Mean of a over the mean of b in one column of errors that are not negative, paired as in
+    `paired_difference`; below 1 means that a is better.
+
+    Raises InputError where the two share no instant.
+    """
+    values, t_ns = _paired(errors_a, errors_b, column)
+    mean = values.mean(axis=0)
+    if mean[1] == 0:
+        return Metric(None, "1", why="what it is compared to has no error")
+    low, high = None, None
+    if len(values) >= _MIN_ROWS:
+        b = bootstrap or Bootstrap()
+        drawn = b.resampled_means(values, t_ns)
+        low, high = b._interval(drawn[:, 0] / np.maximum(drawn[:, 1], 1e-12))
+    return Metric(float(mean[0] / mean[1]), "1", "lower", len(values), low, high)
+
+
+def paired_means(
+    errors_a: Errors, errors_b: Errors, *, column: str = "horizontal_m"
+) -> tuple[float, float]:
+    """The means that `paired_ratio` is of; raises InputError where the two share no instant."""
+    a, b = _paired(errors_a, errors_b, column)[0].mean(axis=0)
+    return float(a), float(b)
+
+
+def _paired(errors_a: Errors, errors_b: Errors, column: str) -> tuple[Array, Instants]:
+    """A column of both (n, 2) at the instants (n,) at which both are known."""
+    _, rows_a, rows_b = np.intersect1d(errors_a.t_ns, errors_b.t_ns, return_indices=True)
+    both = np.stack([getattr(errors_a, column)[rows_a], getattr(errors_b, column)[rows_b]], -1)
+    known = np.isfinite(both).all(-1)
+    if not known.any():
+        raise InputError(f"the two estimates have no instant in common where {column} is known")
+    return both[known], errors_a.t_ns[rows_a][known]

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -10,18 +10,31 @@ import numpy as np
 from fgloc.drive import Drive
 from fgloc.errors import FglocError, InputError
 from fgloc.evaluation.against_truth import Errors
-from fgloc.evaluation.bootstrap import paired_difference
+from fgloc.evaluation.bootstrap import paired_difference, paired_means, paired_ratio
+from fgloc.evaluation.conditions import Mask, conditions, under
+from fgloc.evaluation.gaps import Spans, gnss_outages, used_fixes_ns
 from fgloc.evaluation.judgement import judge
 from fgloc.evaluation.metric import Metric
+from fgloc.evaluation.overall import (
+    AVERAGED,
+    MAIN,
+    WHOLE,
+    Overall,
+    Scores,
+    Standing,
+    average,
+    plain,
+    ratio_over_drives,
+)
 from fgloc.evaluation.posts import score_posts
 from fgloc.evaluation.requirements import Requirement, as_dict
+from fgloc.evaluation.scoring import score_errors
+from fgloc.infrastructure import Node
 from fgloc.result import Result
 from fgloc.trajectory import Trajectory
 
 MOST_PICTURES = 4
 """Of so many drives, the first, the trajectories are kept: of a hundred they fill the memory."""
-MAIN = "horizontal_rmse_m"
-"""The metric that methods are compared by over several drives."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +55,9 @@ class Row:
     wall_s        time that the method took
     difference    horizontal RMSE minus that of the first method at the same instants, with its
                   interval; below zero is better. None for the first method and without truth
+    ratio         mean horizontal error over that of the first method, likewise; below one is better
+    means         the two that it is of
+    conditions    the scores under each condition of the drive, see `conditions`
     failed        why there is no result, else empty
     """
 
@@ -55,6 +71,9 @@ class Row:
     config: Mapping[str, Any] = field(default_factory=dict)
     wall_s: float = 0.0
     difference: Metric | None = None
+    ratio: Metric | None = None
+    means: tuple[float, float] | None = None
+    conditions: Mapping[str, Scores] = field(default_factory=dict)
     failed: str = ""
 
     @property
@@ -69,44 +88,35 @@ class Row:
             "metrics": {name: metric.to_dict() for name, metric in self.metrics.items()},
             "requirements": as_dict(self.requirements) if self.requirements else {},
             "summary": dict(self.summary), "config": dict(self.config), "wall_s": self.wall_s,
-            "difference": None if self.difference is None else self.difference.to_dict(),
+            "difference": plain(self.difference), "ratio": plain(self.ratio),
+            "conditions": {name: one.to_dict() for name, one in self.conditions.items()},
             "failed": self.failed,
         }  # fmt: skip
+
+    def under(self, condition: str) -> Scores:
+        """The scores under a condition, or over the whole drive."""
+        if condition == WHOLE:
+            return Scores(self.metrics, self.difference, self.ratio, self.means)
+        return self.conditions.get(condition, Scores({}))
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """What can be drawn of a drive: its truth, and trajectory and errors of each method."""
+    """What can be drawn of a drive: its truth, and trajectory and errors of each method.
+
+    masks       which rows of the truth fulfil each condition of the drive
+    outages_ns  (K, 2) without a fix that the first method that uses fixes took
+    nodes       beside the road
+    """
 
     drive: str
     seed: int | None
     start_ns: int
     truth: Trajectory | None
     runs: Mapping[str, tuple[Trajectory, Errors | None]]
-
-
-@dataclass(frozen=True)
-class Overall:
-    """One method over several drives.
-
-    mean        of the horizontal RMSE over `n` drives, with a Student-t interval
-    difference  mean over the drives of what the rows say of the difference to the first method
-    wall_s      time spent; `failed` how many drives it failed on
-    """
-
-    method: str
-    mean: Metric
-    difference: Metric | None
-    wall_s: float
-    failed: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
-        difference = None if self.difference is None else self.difference.to_dict()
-        return {
-            "method": self.method, MAIN: self.mean.to_dict(), "difference": difference,
-            "wall_s": self.wall_s, "failed": self.failed,
-        }  # fmt: skip
+    masks: Mapping[str, Mask] = field(default_factory=dict)
+    outages_ns: Spans = field(default_factory=lambda: np.zeros((0, 2), np.int64))
+    nodes: tuple[Node, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -142,17 +152,31 @@ class Comparison:
             "methods": list(self.methods), "against": self.against,
             "score_from_s": self.score_from_s, "drives": self.drives,
             "overall": [one.to_dict() for one in self.overall()],
+            "standings": [one.to_dict() for one in self.standings()],
             "rows": [row.to_dict() for row in self.rows],
         }  # fmt: skip
 
+    def standings(self) -> list[Standing]:
+        """Each method over all drives under each condition that any drive has, and as a whole."""
+        names = [WHOLE, *dict.fromkeys(name for row in self.rows for name in row.conditions)]
+        return [self._standing(name, method) for name in names for method in self.methods]
+
+    def _standing(self, condition: str, method: str) -> Standing:
+        own = [row.under(condition) for row in self.of(method)]
+        averages = {
+            name: average([scores.metrics.get(name) for scores in own]) for name in AVERAGED
+        }
+        ratio = None if method == self.against else ratio_over_drives(own)
+        return Standing(condition, method, averages, ratio)
+
     def _overall(self, method: str) -> Overall:
         rows = self.of(method)
-        wall_s = sum(row.wall_s for row in rows)
-        mean = _mean([row.metrics.get(MAIN) for row in rows])
-        if mean.low is not None:
-            mean = replace(mean, low=max(mean.low, 0.0))  # no RMSE is below zero
-        difference = None if method == self.against else _mean([row.difference for row in rows])
-        return Overall(method, mean, difference, wall_s, sum(bool(r.failed) for r in rows))
+        mean = average([row.metrics.get(MAIN) for row in rows])
+        difference = average([row.difference for row in rows], signed=True)
+        return Overall(
+            method, mean, None if method == self.against else difference,
+            sum(row.wall_s for row in rows), sum(bool(row.failed) for row in rows),
+        )  # fmt: skip
 
 
 def compare_methods(
@@ -180,19 +204,26 @@ def _one_drive(
     """The methods on one drive; the first one's errors are what the others are held against."""
     rows: list[Row] = []
     runs: dict[str, tuple[Trajectory, Errors | None]] = {}
-    first: Errors | None = None
+    outages_ns: Spans | None = None
+    masks, first = conditions(drive), None
     for method in methods:
-        row, run = _row(drive, seed, method, score_from_s, first)
-        if run is not None:
-            runs[method.name] = run
-            first = run[1] if not rows else first
+        row, result, errors = _row(drive, seed, method, score_from_s, masks, first)
+        if result is not None:
+            runs[method.name] = result.trajectory, errors
+            first = errors if not rows else first
+            if outages_ns is None and len(used_fixes_ns(result.verdicts)):
+                outages_ns = gnss_outages(result)
         rows.append(row)
-    return rows, Picture(drive.name, seed, drive.start_ns, drive.truth, runs)
+    none = np.zeros((0, 2), np.int64)
+    nodes = drive.infrastructure.nodes
+    return rows, Picture(drive.name, seed, drive.start_ns, drive.truth, runs, masks,
+                         none if outages_ns is None else outages_ns, nodes)  # fmt: skip
 
 
 def _row(
-    drive: Drive, seed: int | None, method: Method, score_from_s: float, first: Errors | None
-) -> tuple[Row, tuple[Trajectory, Errors | None] | None]:
+    drive: Drive, seed: int | None, method: Method, score_from_s: float,
+    masks: Mapping[str, Mask], first: Errors | None,
+) -> tuple[Row, Result | None, Errors | None]:  # fmt: skip
     """A method's row and its run. Where it fails, others may still do: the row says why."""
     began = time.perf_counter()
     try:
@@ -203,33 +234,36 @@ def _row(
             judged = judge(result, drive.truth, score_from_s=score_from_s)
     except FglocError as err:
         wall_s = time.perf_counter() - began
-        return Row(drive.name, seed, method.name, wall_s=wall_s, failed=str(err)), None
+        return Row(drive.name, seed, method.name, wall_s=wall_s, failed=str(err)), None, None
     known: dict[str, Any] = {"summary": result.summary, "config": result.config, "wall_s": wall_s}
     known["metrics"] = score_posts(result.posts, drive, score_from_s=score_from_s)
-    if judged is not None:
+    if judged is not None and drive.truth is not None:
         known["metrics"] |= judged.metrics
         known["requirements"] = judged.requirements
-        known["difference"] = None if first is None else _difference(judged.errors, first)
+        known |= _against(judged.errors, first)
+        known["conditions"] = {
+            name: _scores(judged.errors, first, drive.truth, mask) for name, mask in masks.items()
+        }
     row = Row(drive.name, seed, method.name, result.causal, **known)
-    return row, (result.trajectory, None if judged is None else judged.errors)
+    return row, result, None if judged is None else judged.errors
 
 
-def _difference(errors: Errors, first: Errors) -> Metric:
+def _scores(errors: Errors, first: Errors | None, truth: Trajectory, mask: Mask) -> Scores:
+    """Under one condition."""
+    own = under(errors, truth, mask)
+    other = None if first is None else under(first, truth, mask)
+    return Scores(score_errors(own), **_against(own, other))
+
+
+def _against(errors: Errors, first: Errors | None) -> dict[str, Any]:
+    """Difference and ratio to the errors of the first method."""
+    if first is None:
+        return {}
     try:
-        return paired_difference(errors, first)
+        return {
+            "difference": paired_difference(errors, first), "ratio": paired_ratio(errors, first),
+            "means": paired_means(errors, first),
+        }  # fmt: skip
     except InputError as err:
-        return Metric(None, "m", why=str(err))
-
-
-def _mean(metrics: Sequence[Metric | None]) -> Metric:
-    """The mean over drives that have a value, with its Student-t interval from two drives on."""
-    x = np.array([m.value for m in metrics if m is not None and m.value is not None])
-    if len(x) == 0:
-        return Metric(None, "m", why="no drive has a value")
-    mean, low, high = float(x.mean()), None, None
-    if len(x) > 1:
-        from scipy.special import stdtrit  # 0.3 s to import
-
-        half = float(stdtrit(len(x) - 1, 0.975) * x.std(ddof=1) / np.sqrt(len(x)))
-        low, high = mean - half, mean + half
-    return Metric(mean, "m", "lower", len(x), low, high)
+        return {"difference": Metric(None, "m", why=str(err)),
+                "ratio": Metric(None, "1", why=str(err))}  # fmt: skip

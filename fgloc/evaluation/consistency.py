@@ -71,8 +71,8 @@ def effective_samples(x: Array) -> float:
 def _autocorrelation(x: Array) -> Array | None:
     """Autocorrelation (N,) of a series at lags 0 to N-1; None where it is constant."""
     centred = x - x.mean() if len(x) else x
-    power = np.abs(np.fft.rfft(centred, 2 * len(x))) ** 2 if len(x) else np.zeros(1)
-    covariance = np.fft.irfft(power)[: len(x)]
+    length = 1 << (2 * len(x)).bit_length()  # room for every lag, and a power of two is quick
+    covariance = np.fft.irfft(np.abs(np.fft.rfft(centred, length)) ** 2)[: len(x)]
     if len(x) == 0 or covariance[0] <= 1e-300 or np.ptp(x) == 0:
         return None
     return covariance / covariance[0]

@@ -9,9 +9,11 @@ from fgloc.evaluation.comparison import MAIN, Comparison, Picture, Row
 from fgloc.report.page import Figure, draw, render_page, write_page
 from fgloc.report.tables import flat_config, interval, number, shown
 from fgloc.report.versus import (
+    cdf_in_range,
     cdf_of_methods,
     drives_figure,
     errors_of_methods,
+    histogram_of_methods,
     method_style,
     plan_of_methods,
 )  # fmt: skip
@@ -26,7 +28,21 @@ COLUMNS = {
     "scored_share": "Scored",
 }
 """The metrics of the page's table beside the main one; compare.json holds all."""
+STANDINGS = {
+    "horizontal_mean_m": "Mean error (m)",
+    "horizontal_std_m": "Standard deviation (m)",
+    "horizontal_rmse_m": "RMSE (m)",
+    "horizontal_p95_m": "95 % below (m)",
+    "lateral_rmse_m": "Lateral (m)",
+    "longitudinal_rmse_m": "Longitudinal (m)",
+    "anees_horizontal": "ANEES in the plane",
+}
+"""The columns of the table by condition."""
 _SHOWN_ROWS = 200
+_BELOW = (
+    "Share of instants with a horizontal error below the value on the axis; the dashed line is at "
+    "95 %."
+)
 _DRIVES = "Horizontal RMSE of each method over the instants of the truth that it covers."
 
 
@@ -40,7 +56,8 @@ def render(comparison: Comparison) -> str:
     return render_page(
         "compare.html.j2", methods=_methods(comparison), against=comparison.against,
         drives=_drives(comparison), score_from_s=comparison.score_from_s,
-        overall=_overall_rows(comparison), figures=list(_figures(comparison)),
+        overall=_overall_rows(comparison), standings=_standings(comparison),
+        standing_columns=list(STANDINGS.values()), figures=list(_figures(comparison)),
         columns=list(COLUMNS.values()), rows=_rows(comparison),
         max_rows=_SHOWN_ROWS, row_count=len(comparison.rows), settings=_settings(comparison),
     )  # fmt: skip
@@ -111,15 +128,38 @@ def _drawn(picture: Picture, methods: tuple[str, ...], suffix: str) -> Iterator[
     plans = (
         ("plan", "Plan view", plan_of_methods, "Seen from above, both axes at one scale."),
         ("errors", "Errors over time", errors_of_methods,
-         "Estimate minus truth. Left, ahead, up and counter-clockwise are positive."),
-        ("cdf", "Distribution of errors", cdf_of_methods,
-         "Share of instants with a horizontal error below the value on the axis; the dashed line "
-         "is at 95 %."),
+         "Estimate minus truth. Left, ahead, up and counter-clockwise are positive." + _shades(
+             picture)),
+        ("cdf", "Distribution of errors", cdf_of_methods, _BELOW),
+        ("cdf-near", "Distribution of errors within the range of a node", cdf_in_range, _BELOW),
+        ("histogram", "Histogram of errors", histogram_of_methods,
+         "How often a horizontal error occurs" + (
+             ", within the range of a node." if picture.masks else ".")),
     )  # fmt: skip
     for key, title, make, caption in plans:
         spec = make(picture, methods)
         if spec is not None and spec["data"]:
             yield Figure(key + suffix, f"{title}: {name}", caption, draw(key + suffix, spec))
+
+
+def _shades(picture: Picture) -> str:
+    """What the shading of errors over time means, as far as there is any."""
+    near = " Green: within the range of a node." if picture.masks else ""
+    out = " Grey: no fix was used, because there was none or it was gated."
+    return near + (out if len(picture.outages_ns) else "")
+
+
+def _standings(comparison: Comparison) -> list[dict[str, Any]]:
+    """Each method near a node, elsewhere and on the whole; empty where no drive has nodes."""
+    if not any(row.conditions for row in comparison.rows):
+        return []
+    return [
+        {
+            "condition": one.condition, "method": one.method, "ratio": cell(one.ratio),
+            "n": one.averages[MAIN].n, "cells": [cell(one.averages[name]) for name in STANDINGS],
+        }
+        for one in comparison.standings()
+    ]  # fmt: skip
 
 
 def _settings(comparison: Comparison) -> list[tuple[str, list[str]]]:

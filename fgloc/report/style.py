@@ -156,12 +156,14 @@ def band(t_s: Array, half: Array, longest_s: float, colour: str, name: str, **mo
     }  # fmt: skip
 
 
-def shaded(spans_s: Iterable[Sequence[float]]) -> list[Spec]:
+def shaded(
+    spans_s: Iterable[Sequence[float]], colour: str = GREY, opacity: float = 0.14
+) -> list[Spec]:
     """Shapes that shade spans of time (K, 2) in s across all panels."""
     return [
         {
             "type": "rect", "xref": "x", "yref": "paper", "x0": float(start), "x1": float(end),
-            "y0": 0, "y1": 1, "fillcolor": "rgba(118,118,118,0.14)", "line": {"width": 0},
+            "y0": 0, "y1": 1, "fillcolor": translucent(colour, opacity), "line": {"width": 0},
             "layer": "below",
         }
         for start, end in spans_s

@@ -1,8 +1,11 @@
 """Figures of several methods on one drive, and of several drives: a colour for each method."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from fgloc.evaluation.comparison import MAIN, Comparison, Picture
+from fgloc.evaluation.conditions import IN_RANGE, spans, under
 from fgloc.measurements import Array
 from fgloc.report.plan import HOVER, map_layout
 from fgloc.report.scene import at_truths_point, longest_step_s
@@ -23,6 +26,7 @@ from fgloc.report.style import (
     layout,
     line,
     peaks,
+    shaded,
     stacked,
     with_gaps,
     y_name,
@@ -41,6 +45,8 @@ _COLUMNS = (
     ("heading (deg)", "yaw_rad", 180 / np.pi),
 )
 _PANEL_PX = 150
+BINS = 40
+"""Of the histogram, up to where 99.5 % of the errors of every method lie."""
 
 
 def method_style(number: int) -> tuple[str, str]:
@@ -57,6 +63,8 @@ def plan_of_methods(picture: Picture, methods: tuple[str, ...]) -> Spec:
         if method in picture.runs:
             at = at_truths_point(picture.runs[method][0], picture.truth)
             data.append(_path(picture, at, method, method_style(n)))
+    if picture.nodes:
+        data.append(_nodes(picture))
     return {
         "data": data,
         "layout": map_layout(),
@@ -77,17 +85,85 @@ def errors_of_methods(picture: Picture, methods: tuple[str, ...]) -> Spec | None
             if method in found and _known(y := getattr(found[method], column) * factor):
                 t_s = elapsed_s(found[method].t_ns, picture.start_ns)
                 data.append(_error_line(t_s, y, method, n, k))
-    return {"data": data, "layout": spec}
+    return {"data": data, "layout": spec | {"shapes": _shades(picture)}}
 
 
 def cdf_of_methods(picture: Picture, methods: tuple[str, ...]) -> Spec:
     """Share of instants with a horizontal error below x, a curve for each method."""
+    data = [
+        cdf_line(x, hover_text(method), *method_style(n))
+        for n, method, x in _horizontal(picture, methods, None)
+    ]
+    return {"data": data, "layout": cdf_layout("horizontal error (m)")}
+
+
+def cdf_in_range(picture: Picture, methods: tuple[str, ...]) -> Spec | None:
+    """The same within the range of a node; None where there is none."""
+    if IN_RANGE not in picture.masks:
+        return None
+    data = [
+        cdf_line(x, hover_text(method), *method_style(n))
+        for n, method, x in _horizontal(picture, methods, IN_RANGE)
+    ]
+    return {"data": data, "layout": cdf_layout("horizontal error (m)")}
+
+
+def histogram_of_methods(picture: Picture, methods: tuple[str, ...]) -> Spec:
+    """How often a horizontal error occurs, near a node where there is one: Lee et al. (2021),
+    Fig. 8."""
+    condition = IN_RANGE if IN_RANGE in picture.masks else None
+    found = list(_horizontal(picture, methods, condition))
+    top = max((float(np.quantile(x, 0.995)) for _, _, x in found), default=1.0) or 1.0
+    edges = np.linspace(0, top, BINS + 1)
     data = []
+    for n, method, x in found:
+        colour, dash = method_style(n)
+        steps = line(
+            edges,
+            _step_heights(x, edges),
+            hover_text(method),
+            colour,
+            dash=dash,
+            width=1.8,
+            hovertemplate="%{y:.1%}",
+        )
+        steps["line"]["shape"] = "hv"
+        data.append(steps)
+    spec = layout(
+        340, hovermode="x unified", xaxis=axis("horizontal error (m)", rangemode="tozero"),
+        yaxis=axis("share of instants", rangemode="tozero", tickformat=".0%"),
+    )  # fmt: skip
+    return {"data": data, "layout": spec}
+
+
+def _step_heights(x: Array, edges: Array) -> Array:
+    """Share of values (N,) in each bin, the last repeated: a step line has as many points as
+    edges."""
+    share = np.histogram(x, edges)[0] / len(x)
+    return np.append(share, share[-1:])
+
+
+def _horizontal(
+    picture: Picture, methods: tuple[str, ...], condition: str | None
+) -> Iterator[tuple[int, str, Array]]:
+    """Number, name and horizontal errors (N,) of each method that has any under a condition."""
     for n, method in enumerate(methods):
         errors = picture.runs[method][1] if method in picture.runs else None
-        if errors is not None and len(errors):
-            data.append(cdf_line(errors.horizontal_m, hover_text(method), *method_style(n)))
-    return {"data": data, "layout": cdf_layout("horizontal error (m)")}
+        if errors is None or picture.truth is None:
+            continue
+        if condition is not None:
+            errors = under(errors, picture.truth, picture.masks[condition])
+        if len(errors):
+            yield n, method, errors.horizontal_m
+
+
+def _shades(picture: Picture) -> list[Spec]:
+    """Green within the range of a node, grey without fixes."""
+    shapes = shaded(elapsed_s(picture.outages_ns, picture.start_ns))
+    if picture.truth is not None and IN_RANGE in picture.masks:
+        near = spans(picture.truth, picture.masks[IN_RANGE])
+        shapes += shaded(elapsed_s(near, picture.start_ns), GREEN, 0.10)
+    return shapes
 
 
 def drives_figure(comparison: Comparison) -> Spec:
@@ -131,6 +207,16 @@ def _path(
         east, north, hover_text(name), colour, width=width, dash=dash, customdata=t,
         hovertemplate=HOVER,
     )  # fmt: skip
+
+
+def _nodes(picture: Picture) -> Spec:
+    place = np.array([node.p_world_m for node in picture.nodes])
+    return {
+        "type": "scatter", "mode": "markers", "x": place[:, 0], "y": place[:, 1], "name": "node",
+        "text": [hover_text(node.name) for node in picture.nodes],
+        "hovertemplate": "%{text}<extra></extra>",
+        "marker": {"color": BLACK, "symbol": "triangle-up", "size": 12},
+    }  # fmt: skip
 
 
 def _error_line(t_s: Array, y: Array, method: str, number: int, panel: int) -> Spec:

@@ -12,6 +12,7 @@ from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
+from fgloc.smoother.roadside import roadside
 from fgloc.sync import plan
 from fgloc.verdicts import counts
 
@@ -54,12 +55,12 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
     run = run_batch(model)
     in_force = config
     for _ in range(MAX_SHIFTS):
-        if abs(run.late_s) < STILL_LATE_S:
+        if abs(run.states.late_s) < STILL_LATE_S:
             break
         # The estimate brings fixes back along a straight line: shift the stamps by it, and see what
         # is left. A fix may then be true at another instant, so the epochs are planned anew.
-        in_force = clocks.shifted(in_force, run.late_s)
-        shifted_s = model.shifted_s + run.late_s
+        in_force = clocks.shifted(in_force, run.states.late_s)
+        shifted_s = model.shifted_s + run.states.late_s
         model = _model(Model, drive, in_force)
         model.shifted_s = shifted_s
         run = run_batch(model)
@@ -67,9 +68,10 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
     summary["yaw_observable_s"] = 0.0 if known else None
     events = [*model.plan.events, *run.events]
-    if run.late_sigma_s is not None:
-        found = clocks.shifted(in_force, run.late_s)
-        summary["clock"] = clocks.summary(found, run.late_sigma_s)
+    summary |= roadside(model, run.states, run.sigmas)
+    if run.sigmas.late_s is not None:
+        found = clocks.shifted(in_force, run.states.late_s)
+        summary["clock"] = clocks.summary(found, run.sigmas.late_s)
         events.append(Event(int(model.t_ns[0]), "clock", summary["clock"]["text"]))
     verdicts = clocks.stamped_as_read(model.plan.verdicts, drive)
     return Result(
@@ -113,6 +115,7 @@ def _summary(model: Model, factors: int) -> dict[str, Any]:
         "states": len(model),
         "factors": factors,
         "counts": counts(model.plan.verdicts),
+        **({"motion": motion.kind} if (motion := model.plan.motion).is_made_up else {}),
         **({"vehicle": found} if (found := model.car.summary()) else {}),
         "origin": asdict(model.drive.origin),
     }

@@ -6,21 +6,20 @@ in a fraction of a second, and the blocks of the inverse follow from the factor.
 all blocks share stand in a border, [[H, B], [B', C]], and are solved for by its Schur complement.
 """
 
-from abc import ABC, abstractmethod
-from typing import NamedTuple
+from functools import cache
+from importlib.machinery import PathFinder
+from importlib.util import module_from_spec
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.measurements import Array
 
-BLOCKS_AT_ONCE = 4096
-"""The inverse is taken in portions of so many blocks, which bounds the memory."""
-AT_A_TIME = 4
-"""Blocks that numpy factorises in one call: fewer and the calls cost more than the arithmetic."""
-MANY_BLOCKS = 2000
-"""From here on LAPACK pays: a step through numpy for each block costs less than importing scipy, up
-to about this many."""
+BLOCKS_AT_ONCE = 512
+"""The inverse is taken in portions of so many blocks, which fit the processor's cache."""
+Index = NDArray[np.int64] | slice
 
 
 class NotPositiveError(Exception):
@@ -53,53 +52,6 @@ class Band:
         self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
 
-    def portion(self, first: int, stop: int) -> "Portion":
-        """Room for the terms that begin in blocks first..stop - 1; give it to `take` when full."""
-        n, d, k = self.border.shape
-        return Portion(first, min(stop, n), d, k)
-
-    def take(self, portion: "Portion") -> None:
-        """Add a portion's terms."""
-        n, d, width = self.columns.shape
-        first, stop = portion.first, portion.stop
-        end = min(stop + 1, n)
-        for c in range(d):
-            self.columns[first:stop, c, : width - c] += portion.blocks[:-1, c, c:]
-        if stop < n:
-            for c in range(d):
-                self.columns[stop, c, : d - c] += portion.blocks[-1, c, c:d]
-        self.border[first:end] += portion.border[: end - first]
-        self.corner += portion.corner
-        self.gradient.blocks[first:end] += portion.gradient.blocks[: end - first]
-        self.gradient.border[:] += portion.gradient.border
-
-    def factor(self, damping: Vector | None = None, *, often: bool = False) -> "BorderedFactor":
-        """The Cholesky factor, with a damping (d,) and (k,) on the diagonal; H may be overwritten.
-
-        `often` says that many are to come, which is worth importing scipy for. Raises
-        NotPositiveError.
-        """
-        corner = self.corner
-        if damping is not None:
-            self.columns[:, :, 0] += damping.blocks
-            corner = corner + np.diag(damping.border)
-        few = len(self.columns) < MANY_BLOCKS and not often
-        return BorderedFactor((_Blocks if few else _Lapack)(self.columns), self.border, corner)
-
-
-class Portion:
-    """Terms of consecutive blocks, with room for all of H between a block and itself or the next.
-
-    `blocks` is (m + 1, d, 2 d): the last is what the terms say of the block after them.
-    """
-
-    def __init__(self, first: int, stop: int, d: int, k: int) -> None:
-        self.first, self.stop = first, stop
-        m = stop - first + 1
-        self.blocks = np.zeros((m, d, 2 * d))
-        self.border, self.corner = np.zeros((m, d, k)), np.zeros((k, k))
-        self.gradient = Vector(np.zeros((m, d)), np.zeros(k))
-
     def add(
         self, blocks: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array
     ) -> None:
@@ -109,29 +61,28 @@ class Portion:
         they are counted from the start of the block, and on into the next block from d on. If q is
         more, the rest are the border's k.
         """
-        d = self.gradient.blocks.shape[1]
-        n, m = int(np.searchsorted(at, d)), len(at)
-        rows, here, after = blocks - self.first, at[:n], at[n:]
-        if n:
-            self._add(rows, here, curvature[:, :n], gradient[:, :n], here, slice(n), m)
-        if n < m:
-            _add(self.blocks, (rows, here, after), curvature[:, :n, n:m])
-            part = slice(n, m)
-            self._add(rows + 1, after - d, curvature[:, n:m], gradient[:, n:m], after - d, part, m)
-        if m < curvature.shape[1]:
-            self.corner += curvature[:, m:, m:].sum(0)
-            self.gradient.border[:] += gradient[:, m:].sum(0)
+        d, m = self.columns.shape[1], len(at)
+        here, after = _span(blocks), _span(blocks + 1)
+        for c, unknown in enumerate(at.tolist()):
+            rows, place = (here, unknown) if unknown < d else (after, unknown - d)
+            further = _span(at[c:] - unknown)
+            target = self.columns[:, place]
+            target[_both(rows, further)] += curvature[:, c, c:m]
+            self.gradient.blocks[rows, place] += gradient[:, c]
+            self.border[rows, place] += curvature[:, c, m:] if m < curvature.shape[1] else 0.0
+        self.corner += curvature[:, m:, m:].sum(0) if m < curvature.shape[1] else 0.0
+        self.gradient.border[:] += gradient[:, m:].sum(0) if m < curvature.shape[1] else 0.0
 
-    def _add(
-        self, rows: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array,
-        columns: NDArray[np.int64], part: slice, m: int,
-    ) -> None:  # fmt: skip
-        """One block's own share of the terms, and what ties it to the border."""
-        _add(self.blocks, (rows, at, columns), curvature[:, :, part])
-        _add(self.gradient.blocks, (rows, at), gradient)
-        if m < curvature.shape[2]:
-            border = np.arange(self.corner.shape[0])
-            _add(self.border, (rows, at, border), curvature[:, :, m:])
+    def factor(self, damping: Vector | None = None) -> "BorderedFactor":
+        """The Cholesky factor, with a damping (d,) and (k,) on the diagonal, in the place of H.
+
+        Raises NotPositiveError.
+        """
+        corner = self.corner
+        if damping is not None:
+            self.columns[:, :, 0] += damping.blocks
+            corner = corner + np.diag(damping.border)
+        return BorderedFactor(Factor(self.columns), self.border, corner)
 
 
 class BorderedFactor:
@@ -156,7 +107,7 @@ class BorderedFactor:
 
     def inverse_blocks(self, keep: NDArray[np.int64]) -> Array:
         """Rows and columns `keep` (q,) of the n diagonal blocks of the inverse, (n, q, q)."""
-        own = self._factor.inverse_blocks(len(self._border), keep)
+        own = self._factor.inverse_blocks(keep)
         carried = self._carried[:, keep]
         return own + carried @ self.cov_border @ carried.swapaxes(-1, -2)
 
@@ -165,126 +116,77 @@ class BorderedFactor:
         return -self._carried[:, keep] @ self.cov_border
 
 
-class Factor(ABC):
-    """The Cholesky factor L of a band."""
+class Factor:
+    """The Cholesky factor L of a band, in the place of H."""
 
-    @abstractmethod
+    def __init__(self, columns: Array) -> None:
+        n, d, width = columns.shape
+        band, failed = _lapack().dpbtrf(columns.reshape(n * d, width).T, lower=1, overwrite_ab=1)
+        if failed:
+            raise NotPositiveError(failed - 1)
+        self._columns = band.T.reshape(n, d, width)
+
     def solve(self, right: Array) -> Array:
         """X (n, d, k) of H X = right (n, d, k)."""
+        n, d, width = self._columns.shape
+        columns = right.reshape(n * d, -1)
+        x, _ = _lapack().dpbtrs(self._columns.reshape(n * d, width).T, columns, lower=1)
+        return np.asarray(x).reshape(right.shape)
 
-    @abstractmethod
-    def blocks(self, rows: slice) -> tuple[Array, Array]:
-        """The inverses of L_jj and the L_j+1,j of some blocks, both (m, d, d)."""
-
-    def inverse_blocks(self, n: int, keep: NDArray[np.int64]) -> Array:
+    def inverse_blocks(self, keep: NDArray[np.int64]) -> Array:
         """Rows and columns `keep` (q,) of the n diagonal blocks of H^-1, (n, q, q).
 
         S_j = L_jj^-T (I + L_j+1,j' S_j+1 L_j+1,j) L_jj^-1 from the last block back (the selected
-        inverse of Takahashi et al. 1973).
+        inverse of Takahashi et al. 1973). The blocks of a portion are cut into runs, which are
+        gone through side by side: first as if nothing came after a run, and with the product of
+        all L_k+1,k L_kk^-1 from each block to the run's end; that brings in, run by run from the
+        last, what comes after.
         """
+        n, d, _ = self._columns.shape
         out = np.empty((n, len(keep), len(keep)))
-        last: Array | None = None
+        after = np.zeros((d, d))
         for stop in range(n, 0, -BLOCKS_AT_ONCE):
             rows = slice(max(stop - BLOCKS_AT_ONCE, 0), stop)
-            inverse, across = self.blocks(rows)
-            own = inverse.swapaxes(-1, -2) @ inverse
-            carried = across @ inverse
-            for j in reversed(range(len(own))):
-                if last is not None:
-                    C = carried[j]
-                    own[j] += C.T @ last @ C
-                last = own[j]
-            out[rows] = own[:, keep[:, None], keep]
+            S, C = self._steps(rows)
+            for run in reversed(range(len(S))):
+                S[run] += C[run].swapaxes(-1, -2) @ after @ C[run]
+                after = S[run, 0]
+            blocks = S.reshape(-1, d, d)[rows.start - rows.stop :]
+            out[rows] = blocks[:, keep[:, None], keep]
         return out
 
+    def _steps(self, rows: slice) -> tuple[Array, Array]:
+        """Of blocks in runs (runs, length, d, d), as if the last of each were the last of all:
+        their S, and by what the S of the first block after the run comes in. Where the number does
+        not divide, blocks that change nothing stand before the first."""
+        L = _unfolded(self._columns[rows])
+        m, d = len(L), L.shape[-1]
+        length = max(int(np.sqrt(m)), 1)
+        runs = -(-m // length)
+        S, C = np.zeros((runs, length, d, d)), np.zeros((runs, length, d, d))
+        C[:] = np.eye(d)
+        inverse = _inverse_of_lower(L[:, :d])
+        S.reshape(-1, d, d)[-m:] = np.ascontiguousarray(inverse.swapaxes(-1, -2)) @ inverse
+        C.reshape(-1, d, d)[-m:] = L[:, d:] @ inverse
+        for k in reversed(range(length - 1)):
+            S[:, k] += C[:, k].swapaxes(-1, -2) @ S[:, k + 1] @ C[:, k]
+            C[:, k] = C[:, k + 1] @ C[:, k]
+        return S, C
 
-class _Lapack(Factor):
-    """By LAPACK's banded Cholesky, in the place of H."""
 
-    def __init__(self, columns: Array) -> None:
+@cache
+def _lapack() -> Any:
+    """scipy's LAPACK by itself: all of scipy.linalg takes longer to import than this to run."""
+    import scipy
+
+    spec = PathFinder.find_spec("_flapack", [str(Path(scipy.__file__).parent / "linalg")])
+    if spec is None or spec.loader is None:
         from scipy.linalg import lapack
 
-        n, d, width = columns.shape
-        band, failed = lapack.dpbtrf(columns.reshape(n * d, width).T, lower=1, overwrite_ab=1)
-        if failed:
-            raise NotPositiveError(failed - 1)
-        self.columns = band.T.reshape(n, d, width)
-
-    def solve(self, right: Array) -> Array:
-        from scipy.linalg import lapack
-
-        n, d, width = self.columns.shape
-        columns = right.reshape(n * d, -1)
-        x, _ = lapack.dpbtrs(self.columns.reshape(n * d, width).T, columns, lower=1)
-        return x.reshape(right.shape)
-
-    def blocks(self, rows: slice) -> tuple[Array, Array]:
-        L = _unfolded(self.columns[rows])
-        d = L.shape[-1]
-        return _inverse_of_lower(L[:, :d]), L[:, d:]
-
-
-class _Blocks(Factor):
-    """A few blocks at a time in numpy, each time with the next one, which takes what they leave."""
-
-    def __init__(self, columns: Array) -> None:
-        H = _unfolded(columns)
-        n, d = len(H), H.shape[-1]
-        m = -(-n // AT_A_TIME)
-        windows = _windows(H, m)
-        L = np.empty_like(windows)
-        for c in range(m):
-            try:
-                L[c] = np.linalg.cholesky(windows[c])
-            except np.linalg.LinAlgError as err:
-                raise NotPositiveError(c * AT_A_TIME * d + _first_unheld(windows[c])) from err
-            if c + 1 < m:
-                left = L[c, -d:, -d:]
-                windows[c + 1, :d, :d] = left @ left.T
-        at = [slice(i * d, (i + 1) * d) for i in range(AT_A_TIME + 1)]
-        own = np.stack([L[:, at[i], at[i]] for i in range(AT_A_TIME)], 1)
-        across = np.stack([L[:, at[i + 1], at[i]] for i in range(AT_A_TIME)], 1)
-        self._inverse = _inverse_of_lower(own.reshape(-1, d, d)[:n])
-        self._across = across.reshape(-1, d, d)[:n]
-
-    def solve(self, right: Array) -> Array:
-        y = np.empty_like(right)
-        carried: Array | float = 0.0
-        for j in range(len(y)):
-            y[j] = self._inverse[j] @ (right[j] - carried)
-            carried = self._across[j] @ y[j]
-        carried = 0.0
-        for j in reversed(range(len(y))):
-            y[j] = self._inverse[j].T @ (y[j] - carried)
-            carried = self._across[j - 1].T @ y[j]
-        return y
-
-    def blocks(self, rows: slice) -> tuple[Array, Array]:
-        return self._inverse[rows], self._across[rows]
-
-
-def _windows(H: Array, m: int) -> Array:
-    """m dense matrices of `AT_A_TIME` + 1 blocks each from those of `_unfolded`, the last of one
-    being the first of the next; what lies beyond the end is the unit matrix."""
-    n, width, d = H.shape
-    padded = np.zeros((m * AT_A_TIME + 1, width, d))
-    padded[:n], padded[n:, :d] = H, np.eye(d)
-    windows = np.zeros((m, (AT_A_TIME + 1) * d, (AT_A_TIME + 1) * d))
-    for i in range(AT_A_TIME):
-        rows, columns = slice(i * d, (i + 2) * d), slice(i * d, (i + 1) * d)
-        windows[:, rows, columns] = padded[i : m * AT_A_TIME : AT_A_TIME]
-    windows[:, -d:, -d:] = padded[AT_A_TIME::AT_A_TIME, :d]
-    return windows
-
-
-def _first_unheld(matrix: Array) -> int:
-    """The first unknown of a matrix whose leading part up to it is not positive definite."""
-    for i in range(len(matrix)):
-        try:
-            np.linalg.cholesky(matrix[: i + 1, : i + 1])
-        except np.linalg.LinAlgError:
-            return i
-    return len(matrix) - 1
+        return lapack
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _unfolded(columns: Array) -> Array:
@@ -307,10 +209,14 @@ def _inverse_of_lower(L: Array) -> Array:
     return inverse
 
 
-def _add(target: Array, index: tuple[NDArray[np.int64], ...], values: Array) -> None:
-    """Add to the rows and columns of some indices; by slices where they can be, which is quick."""
-    spans = [slice(int(i[0]), int(i[-1]) + 1) for i in index]
-    if all(s.stop - s.start == len(i) for s, i in zip(spans, index, strict=True)):
-        target[tuple(spans)] += values
-    else:
-        target[np.ix_(*index)] += values
+def _span(index: NDArray[np.int64]) -> Index:
+    """An increasing index (n >= 1,), as a slice where it can be one: that is much quicker."""
+    first, last = int(index[0]), int(index[-1])
+    return slice(first, last + 1) if last - first == len(index) - 1 else index
+
+
+def _both(rows: Index, columns: Index) -> tuple[Index, Index]:
+    """An index of all rows in all columns."""
+    if isinstance(rows, slice) or isinstance(columns, slice):
+        return rows, columns
+    return rows[:, None], columns

@@ -6,20 +6,22 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.association import explanations, nearest
 from fgloc.errors import ConfigError, SolverError
 from fgloc.factors import imu, noise
 from fgloc.measurements import Array
+from fgloc.positions import DETECTIONS, GNSS
 from fgloc.result import Event
-from fgloc.smoother.chain import Chain
+from fgloc.smoother.chain import Chain, position_errors
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, misfit, stretch
 from fgloc.smoother.model import Model
-from fgloc.smoother.states import Robustness, StateLog, States, yaw_sigma_rad
-from fgloc.smoother.terms import fix_residual, late_fix_residual
+from fgloc.smoother.states import Robustness, SharedSigmas, StateLog, States, yaw_sigma_rad
 from fgloc.verdicts import Verdict
 
-MAX_ROUNDS = 5
-"""Gating is repeated until no verdict changes, at most this often."""
+MAX_ROUNDS = 8
+"""Gating, and which candidates are the car, is gone through until nothing changes, at most this
+often."""
 MOST_OUTLIERS, MOST_WIDENED = 0.1, 10.0
 """Gate and loss may act on this share of the fixes. Where more do not fit, the noise is probably
 claimed too small, of the fixes or of the IMU, and both are widened, up to so many sigmas for one: a
@@ -44,10 +46,10 @@ class Solver(Protocol):
         """The states of least cost, that cost and the iterations; `rough` may stop when near."""
 
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
-        """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
+        """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
 
-    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
-        """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
+    def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
+        """Of what the drive shares and the graph estimates."""
 
 
 @dataclass(eq=False)
@@ -60,70 +62,86 @@ class BatchRun:
     cost: float
     yaw_sigma_rad: float
     events: tuple[Event, ...]
-    late_s: float
-    late_sigma_s: float | None
+    states: States
+    sigmas: SharedSigmas
 
 
 def run_batch(model: Model) -> BatchRun:
-    """Solve the drive and fill the GNSS verdicts of the model's plan.
+    """Solve the drive and fill the verdicts of the model's plan.
 
-    A fix's NIS is that of leaving it out: the fix against all other measurements. Raises
-    SolverError where the graph cannot be solved.
+    A position's NIS is that of leaving it out: the position against all other measurements.
+    Candidates join once the drive is solved without them. Raises SolverError where the graph
+    cannot be solved.
     """
     deltas, inner = model.deltas()
     start = guess(model, 0, len(model) - 1, gyro_yaw(model))
     solver = _solver(model, start, deltas)
-    keys = np.flatnonzero(model.fix_of >= 0)
-    states, robust, cost, iterations = _settle(model, solver, States.of(start), keys)
-    if cost > misfit(len(keys)):
+    states, robust, cost, iterations = _settle(model, solver, States.of(start, model))
+    if cost > misfit(len(model.guides)):
         turned = _turned(model, solver, start)
         if turned is not start:
-            states, robust, cost, iterations = _settle(model, solver, States.of(turned), keys)
-    gate_nis = 0.0
+            states, robust, cost, iterations = _settle(model, solver, States.of(turned, model))
+    limits = np.empty(0)
     for rounds in range(1, MAX_ROUNDS + 1):
         cov, P = solver.covariances(states, robust)
-        nis, weight = _leave_one_out(model, states, P, keys, robust)
-        gate = np.sqrt(model.gate_nis)
-        gate_nis = gate_nis or model.gate_nis * _widening(gate, np.sqrt(nis)) ** 2
-        beyond = nis > gate_nis
-        if np.array_equal(beyond, robust.gated) or rounds == MAX_ROUNDS:
+        nis, weight = _leave_one_out(model, states, P, robust)
+        limits = limits if len(limits) else _limits(model, nis)
+        gated = _gated(model, nis, limits)
+        if np.array_equal(gated, robust.gated) or rounds == MAX_ROUNDS:
             break
-        robust = replace(robust, gated=beyond)
+        robust = replace(robust, gated=gated)
         states, cost, count = solver.optimum(states, robust)
         iterations += count
-    _judge(model, keys, robust, nis, gate_nis, weight)
+    settled = np.array_equal(gated, robust.gated)
+    _judge(model, robust, nis, limits, weight)
     model.car.judge(states.R, states.v, states.bias, states.calibration)
     log = _log(model, states, cov)
     fill(log, model, states.bias, deltas, inner)
     begin = model.epoch_of[0]
     sigma = yaw_sigma_rad(log.R[begin], log.cov[begin, :3, :3])
     factors = solver.factors - int(robust.gated.sum())
-    events = _remarks(model, solver, robust, gate_nis)
-    late_sigma_s = solver.late_sigma_s(states, robust)
-    return BatchRun(
-        log, factors, iterations, cost, sigma, events, states.late_s, late_sigma_s
-    )  # fmt: skip
+    events = _remarks(model, solver, robust, limits, settled=settled)
+    sigmas = solver.shared_sigmas(states, robust)
+    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas)
 
 
-def _settle(
-    model: Model, solver: Solver, states: States, keys: NDArray[np.int64]
-) -> tuple[States, Robustness, float, int]:
+def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robustness, float, int]:
     """The optimum from a guess, and the loss that it took: first none, to come near.
 
     From afar every fix is an outlier, and a loss has no curvature to steer by.
     """
-    nothing = np.zeros(len(keys), bool)
+    n = int(np.searchsorted(model.key_of, len(states.p)))
+    nothing = model.positions.candidates[:n]
     states, cost, iterations = solver.optimum(
         states, Robustness(nothing, np.inf, plain=True), rough=True
     )
-    width = np.inf
-    if model.config.gnss.loss != "none" and not model.has_gnss_bias:
-        norm = np.sqrt(noise.nis(fix_errors(model, states, keys), model.cov_of_fixes(keys)))
+    width, fixes = np.inf, ~nothing
+    if model.config.gnss.loss != "none" and fixes.any():
+        error = position_errors(model, states, n)[fixes]
+        norm = np.sqrt(noise.nis(error, model.cov_m2[:n][fixes]))
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
     robust = Robustness(nothing, width)
     states, cost, more = solver.optimum(states, robust)
     return states, robust, cost, iterations + more
+
+
+def _limits(model: Model, nis: Array) -> Array:
+    """The gate (rows,) of every position; that of fixes is widened where more than some exceed."""
+    gates = np.array([source.gate_nis for source in model.sources])
+    limits = gates[model.positions.source]
+    fixes = model.guides
+    gate = np.sqrt(model.sources[0].gate_nis)
+    limits[fixes] *= _widening(gate, np.sqrt(nis[fixes])) ** 2
+    return limits
+
+
+def _gated(model: Model, nis: Array, limits: Array) -> NDArray[np.bool_]:
+    """What is left out (rows,): what does not fit, and of the candidates all but the car."""
+    p, gated = model.positions, nis > limits
+    own = np.flatnonzero(p.candidates)
+    gated[own] = ~nearest(p.frame[own], p.source[own], p.object_id[own], nis[own], limits[own])
+    return gated
 
 
 def _widening(sigmas: float, values: Array) -> float:
@@ -133,14 +151,15 @@ def _widening(sigmas: float, values: Array) -> float:
 
 
 def _remarks(
-    model: Model, solver: Solver, robust: Robustness, gate_nis: float
+    model: Model, solver: Solver, robust: Robustness, limits: Array, *, settled: bool
 ) -> tuple[Event, ...]:
     """What a user should know of the solution and of noise that is not what the drive says."""
     texts, loss_width = [], model.config.gnss.loss_width
+    gate_nis, stated = float(limits[model.guides[0]]), model.sources[0].gate_nis
     if loss_width < robust.loss_width < np.inf:
         texts.append(f"loss from {robust.loss_width:.3g} on instead of {loss_width:g}")
-    if gate_nis > model.gate_nis:
-        texts.append(f"gate at an NIS of {gate_nis:.3g} instead of {model.gate_nis:.3g}")
+    if gate_nis > stated:
+        texts.append(f"gate at an NIS of {gate_nis:.3g} instead of {stated:.3g}")
     start_ns, events = int(model.t_ns[0]), []
     if texts:
         text = (
@@ -152,6 +171,9 @@ def _remarks(
         most = model.config.solver.max_iterations
         text = f"stopped after {most} iterations, before the optimum; do not trust the covariances"
         events.append(Event(start_ns, "solver", text))
+    if not settled:
+        text = f"which measurements fit was still changing after {MAX_ROUNDS} rounds"
+        events.append(Event(start_ns, "association", text))
     return tuple(events)
 
 
@@ -170,58 +192,79 @@ def _solver(model: Model, prior: Guess, deltas: imu.ImuDeltas) -> Solver:
 def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
     """The guess turned to the heading that fits; see `choose_yaw`."""
     n = stretch(start)
-    keys = np.flatnonzero(model.fix_of[:n] >= 0)
     begin = solver.first(n)
 
     def cost(turned: Guess) -> float:
-        return _settle(model, begin, States.of(turned).first(n), keys)[2]
+        return _settle(model, begin, States.of(turned, model).first(n))[2]
 
-    return choose_yaw(start, len(keys), cost)
-
-
-def fix_errors(model: Model, states: States, keys: NDArray[np.int64]) -> Array:
-    """Predicted minus measured antenna positions (n, 3) of the fixes at some keyframes, ENU m."""
-    told = fix_residual(model, states, keys)
-    return late_fix_residual(model, states, keys, told).error if states.late_s else told.error
+    return choose_yaw(start, len(model.fixed(0, n)), cost)
 
 
 def _leave_one_out(
-    model: Model, states: States, P: Array, keys: NDArray[np.int64], robust: Robustness
+    model: Model, states: States, P: Array, robust: Robustness
 ) -> tuple[Array, Array]:
-    """NIS (n,) of every fix against all others, and its weight (n,) under the robust loss.
+    """NIS (rows,) of every position against all others, and its weight (rows,) under the loss.
 
-    With P the posterior of the fix's prediction, R_w the fix's covariance as it was weighted and r
-    the residual, the prediction without the fix has the error R_w (R_w - P)^-1 r and the
-    covariance R_w (R_w - P)^-1 R_w - R_w. NIS is 0 where the fix is all that holds the state.
+    With P the posterior of the position's prediction, R_w its covariance as it was weighted and r
+    the residual, the prediction without it has the error R_w (R_w - P)^-1 r and the covariance
+    R_w (R_w - P)^-1 R_w - R_w. NIS is 0 where the position is all that holds the state.
     """
-    R_fix, error = model.cov_of_fixes(keys), fix_errors(model, states, keys)
-    whitened = np.sqrt(noise.nis(error, R_fix))
-    loss = model.config.gnss.loss if np.isfinite(robust.loss_width) else "none"
-    weight = noise.weight(whitened, loss, robust.loss_width)
-    R_w = R_fix / weight[:, None, None]
+    R, error = model.cov_m2, position_errors(model, states, len(P))
+    weight = _weights(model, np.sqrt(noise.nis(error, R)), robust.loss_width)
+    R_w = R / weight[:, None, None]
     kept = ~robust.gated
     spread, left_out = P.copy(), error.copy()
     rest = R_w[kept] - P[kept]
     gain = R_w[kept] @ np.linalg.inv(rest)
     left_out[kept] = np.einsum("nij,nj->ni", gain, error[kept])
     spread[kept] = gain @ R_w[kept] - R_w[kept]
-    result = noise.nis(left_out, spread + R_fix)
-    informed = np.ones(len(keys), bool)
+    result = noise.nis(left_out, spread + R)
+    informed = np.ones(len(P), bool)
     informed[kept] = np.linalg.eigvalsh(rest)[:, 0] > 1e-9 * R_w[kept].trace(axis1=1, axis2=2)
     return np.where(informed, result, 0.0), weight
 
 
-def _judge(
-    model: Model, keys: NDArray[np.int64], robust: Robustness, nis: Array, gate_nis: float,
-    weight: Array,
-) -> None:  # fmt: skip
-    """Write the verdicts on the fixes that had a keyframe."""
-    verdicts, rows = model.plan.verdicts["gnss"], model.fix_of[keys]
-    verdicts.nis[rows], verdicts.dof[rows], verdicts.threshold[rows] = nis, 3, gate_nis
-    verdicts.set(rows, Verdict.USED)
-    for row, w in zip(rows[weight < 1], weight[weight < 1], strict=True):
-        verdicts.set(row, Verdict.DOWN_WEIGHTED, f"{model.config.gnss.loss} weight {w:.3g}")
-    verdicts.set(rows[robust.gated], Verdict.GATED, "does not fit all other measurements")
+def _weights(model: Model, norm: Array, fix_width: float) -> Array:
+    """The weight (rows,) that each source's loss gives to whitened errors of some norms (rows,)."""
+    weight = np.ones(len(norm))
+    for s, source in enumerate(model.sources):
+        own = model.positions.source == s
+        width = fix_width if source.table == GNSS else source.settings.loss_width
+        loss = source.settings.loss if np.isfinite(width) else "none"
+        weight[own] = noise.weight(norm[own], loss, width)
+    return weight
+
+
+def _judge(model: Model, robust: Robustness, nis: Array, limits: Array, weight: Array) -> None:
+    """Write the verdicts on the positions that had a keyframe."""
+    p = model.positions
+    dof = np.array([source.dof for source in model.sources])[p.source]
+    for table, among in ((GNSS, ~p.candidates), (DETECTIONS, p.candidates)):
+        if not among.any():
+            continue
+        verdicts, own = model.plan.verdicts[table], np.flatnonzero(among)
+        rows = p.row[own]
+        verdicts.nis[rows], verdicts.dof[rows], verdicts.threshold[rows] = (
+            nis[own], dof[own], limits[own])  # fmt: skip
+        verdicts.set(rows, Verdict.USED)
+        for i in own[(weight[own] < 1) & ~robust.gated[own]].tolist():
+            loss = model.sources[int(p.source[i])].settings.loss
+            verdicts.set(p.row[i], Verdict.DOWN_WEIGHTED, f"{loss} weight {weight[i]:.3g}")
+        verdicts.set(p.row[own[robust.gated[own]]], Verdict.GATED,
+                     "does not fit all other measurements")  # fmt: skip
+    explain(model, ~robust.gated, nis <= limits)
+
+
+def explain(model: Model, used: NDArray[np.bool_], fits: NDArray[np.bool_]) -> None:
+    """Say of each candidate that was left out what it was instead."""
+    p = model.positions
+    own = np.flatnonzero(p.candidates)
+    if not len(own):
+        return
+    verdicts = model.plan.verdicts[DETECTIONS]
+    told = explanations(p.frame[own], p.source[own], p.object_id[own], used[own], fits[own])
+    for i, (other, why) in zip(own[~used[own]].tolist(), told, strict=True):
+        verdicts.set(p.row[i], Verdict.OTHER if other else Verdict.GATED, why)
 
 
 def _log(model: Model, states: States, cov: Array) -> StateLog:

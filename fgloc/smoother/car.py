@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from fgloc.chi_square import chi2_quantile
 from fgloc.config import SmoothConfig
-from fgloc.constraints import NON_HOLONOMIC, STANDSTILL, wheel_of
-from fgloc.drive import Drive, ImuNoise
+from fgloc.constraints import NON_HOLONOMIC, STANDSTILL, wheel_of, wheel_source
+from fgloc.drive import Drive, Noise
 from fgloc.factors import noise, vehicle
 from fgloc.measurements import Array
+from fgloc.smoother.velocities import Velocities
 from fgloc.sync import Plan
 from fgloc.verdicts import Verdict
 
@@ -25,20 +26,23 @@ class Car:
 
     def __init__(
         self, drive: Drive, plan: Plan, config: SmoothConfig, bias_of: NDArray[np.int64],
-        imu_noise: ImuNoise,
+        imu_noise: Noise,
     ) -> None:  # fmt: skip
-        self.config, self.gnss = config.vehicle, config.gnss
+        self.config, self.gnss = plan.motion.vehicle, config.gnss
         at, held = plan.epochs.keyframes, plan.constraints
         self.verdicts, self.bias_of = plan.verdicts, bias_of
-        self.wheels = wheel_of(drive)
+        self.is_mounted = not plan.motion.is_made_up  # or there is no IMU to be askew
+        self.wheels, self.wheel_source = wheel_of(drive), wheel_source(drive)
+        self.velocities = Velocities(drive, plan, config.gnss)
         self.wheel_row = held.wheel_row[at]
         self.in_force, self.stands = held.in_force[at], held.stands[at]
         self.slip_row = np.where(self.in_force, np.cumsum(self.in_force) - 1, -1)
         self.still_row = np.where(self.stands, np.cumsum(self.stands) - 1, -1)
         self.rate_radps, self.mean_rate_radps = plan.epochs.rate_radps[at], held.rate_radps[at]
-        self.arm = np.array(config.vehicle.p_veh_point_m) - drive.rig.T_veh_imu[:3, 3]
+        self.arm = np.array(config.vehicle.p_veh_point_m) - plan.motion.T_veh_imu[:3, 3]
         self.has_arm = bool(self.arm.any())
-        white = imu_noise.gyro_noise_radps_per_sqrt_hz / np.sqrt(self.config.still_window_s)
+        density = float(np.max(imu_noise.gyro_noise_radps_per_sqrt_hz))
+        white = density / np.sqrt(self.config.still_window_s)
         self.still_rate_sigma = float(np.hypot(white, self.config.still_rate_radps))
         self.calibration_sigmas = np.array(
             [self.config.mounting_sigma_rad] * 2 + [self.config.scale_sigma]
@@ -54,7 +58,7 @@ class Car:
             return {}
         pitch_deg, yaw_deg = np.rad2deg(self.found[:2]).tolist()
         told = {"mounting_pitch_deg": pitch_deg, "mounting_yaw_deg": yaw_deg}
-        told = told if self.config.non_holonomic else {}
+        told = told if self.config.non_holonomic and self.is_mounted else {}
         return told | ({"wheel_scale": float(self.found[2])} if (self.wheel_row >= 0).any() else {})
 
     def wheel_fits(
@@ -69,7 +73,7 @@ class Car:
         H = np.concatenate([told.by_pose[0], told.by_velocity[0]], axis=1)
         spread = sigma**2 + (self.config.scale_sigma * speed) ** 2
         nis = float(noise.nis(told.error[0], H @ cov @ H.T + spread))
-        return self._gate("wheel", int(self.wheel_row[j]), nis, 1)
+        return self._gate(self.wheel_source, int(self.wheel_row[j]), nis, 1)
 
     def still_fits(self, j: int, v: Array, cov: Array) -> bool:
         """Gate the standstill at keyframe j against a velocity with the covariance (3, 3)."""
@@ -94,13 +98,14 @@ class Car:
             at = np.flatnonzero(self.in_force)
             slip = vehicle.non_holonomic(u, turn).error[at] / self.slip_sigmas_mps[at]
             self._weigh(NON_HOLONOMIC, self.slip_row[at], slip, SLIP_WIDTH)
-        if self.wheels is not None:
+        self.velocities.judge(v)
+        if self.wheels is not None and (self.wheel_row >= 0).any():
             at = np.flatnonzero(self.wheel_row >= 0)
             rows = self.wheel_row[at]
             speed, sigma = np.zeros(len(R)), self.wheels.sigma_mps[rows]
             speed[at] = self.wheels.speed_mps[rows]
             miss = vehicle.wheel(u, turn, calibration[2], speed).error[at] / sigma[:, None]
-            self._weigh("wheel", rows, miss, WHEEL_WIDTH)
+            self._weigh(self.wheel_source, rows, miss, WHEEL_WIDTH)
         if self.stands.any():
             at = np.flatnonzero(self.stands)
             self._weigh(STANDSTILL, self.still_row[at], v[at] / self.config.still_speed_mps,

@@ -8,13 +8,25 @@ from fgloc.errors import SolverError
 from fgloc.factors import noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
-from fgloc.smoother.band import Band, NotPositiveError, Vector
+from fgloc.smoother import sketch
+from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
+from fgloc.smoother.guess import misfit
+from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
-from fgloc.smoother.states import Robustness, States
-from fgloc.smoother.terms import BIAS, GNSS_BIAS, VELOCITY, Term, Terms, fix_residual
+from fgloc.smoother.states import Robustness, SharedSigmas, States
+from fgloc.smoother.terms import (
+    BIAS,
+    POSE,
+    VELOCITY,
+    Term,
+    Terms,
+    late_residual,
+    late_source,
+    position_residual,
+)
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 1024
+BLOCKS_AT_ONCE = 512
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
@@ -22,6 +34,7 @@ class Chain(Terms):
     """The first n keyframes of a model, ready to be solved; `converged` is of the last time."""
 
     converged = True
+    _last: tuple[States, Robustness, BorderedFactor] | None = None
 
     @cached_property
     def damping(self) -> Vector:
@@ -30,8 +43,8 @@ class Chain(Terms):
         Not in proportion to the curvature: keyframes are tied so stiffly to each other that this
         would hold back a turn of them all.
         """
-        biases = [*self.model.bias_sigmas, *[self.model.config.gnss.bias_sigma_m] * 3]
-        scale = np.array([1.0] * 9 + biases)[: self.width]
+        slow = [self._slow(s).sigma_m for s in self.slow_at for _ in range(3)]
+        scale = np.array([1.0] * 9 + [*self.model.bias_sigmas, *slow])
         border = np.ones(self.shared)
         if self.model.car.acts:
             border[self.car_at] = self.model.car.calibration_sigmas**-2
@@ -44,10 +57,14 @@ class Chain(Terms):
     def optimum(
         self, states: States, robust: Robustness, *, rough: bool = False
     ) -> tuple[States, float, int]:
-        """The states of least cost, that cost and the iterations; `rough` stops when near.
+        """The states of least cost, that cost and the iterations; `rough` stops when near, and may
+        give the states and the cost of a sketch.
 
         Raises SolverError that names the state and its time.
         """
+        self._last = None
+        if rough and (sketched := self._sketch(states)) is not None:
+            return sketched
         solver = self.model.config.solver
         descent = Descent(self, robust, solver.max_iterations)
         try:
@@ -56,10 +73,29 @@ class Chain(Terms):
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
         if not np.isfinite(cost):
-            far = np.abs(fix_residual(self.model, states, self.fixed).error).max(-1)
-            raise self._failure(int(self.fixed[np.nanargmax(far)]) * self.width)
+            far = np.abs(position_errors(self.model, states, self.rows)).max(-1)
+            raise self._failure(int(self.key_of[np.nanargmax(far)]) * self.width)
         self.converged = descent.converged
+        if descent.factor is not None:
+            self._last = result, robust, descent.factor
         return result, cost, descent.iterations
+
+    def _sketch(self, states: States) -> tuple[States, float, int] | None:
+        """States, cost and iterations of a sketch, or None where there is none that fits."""
+        keys = sketch.few_keyframes(self.model, self.n)
+        if keys is None:
+            return None
+        model = sketch.few_model(self.model, keys)
+        few = Chain(model, self._prior, sketch.few_deltas(self.deltas, keys))
+        nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
+        try:
+            found, cost, iterations = few.optimum(states.take(keys), nothing, rough=True)
+        except SolverError:  # the whole chain may do better, or say where it fails
+            return None
+        if not cost <= misfit(few.rows):
+            return None
+        g = model.gravity_mps2
+        return sketch.all_states(found, keys, self.deltas, self.bias_of, g), cost, iterations
 
     def moved(self, states: States, back: Vector) -> States:
         """The states after a step back along a vector of their tangents; copies stay alike."""
@@ -73,10 +109,23 @@ class Chain(Terms):
             states.p + np.einsum("nij,nj->ni", states.R, step[:, 3:6]),
             states.v + step[:, VELOCITY],
             states.bias + step[first][:, BIAS],
-            states.gnss_bias + step[:, GNSS_BIAS] if self.width > 15 else states.gnss_bias,
+            states.slow + step[:, 15:],
             states.late_s - float(back.border[self.late].sum()),
             calibration,
+            states.offset - (back.border[self.offset_at] if self._estimates_offset else 0.0),
+            self._resurveyed(states.survey, back.border),
         )
+
+    @property
+    def _estimates_offset(self) -> bool:
+        return self.offset_at.start < self.offset_at.stop
+
+    def _resurveyed(self, survey: Array, back: Array) -> Array:
+        """What the surveys are off after a step back."""
+        moved = survey.copy()
+        for s, at in self.survey_at.items():
+            moved[s] -= back[at]
+        return moved
 
     def linearize(
         self, states: States, robust: Robustness, curvature: Curvature
@@ -89,8 +138,7 @@ class Chain(Terms):
         """
         cost, band = 0.0, Band(self.n, self.width, self.shared)
         for first in range(0, self.n, BLOCKS_AT_ONCE):
-            portion = band.portion(first, first + BLOCKS_AT_ONCE)
-            for term in self.at(states, robust, portion.first, portion.stop):
+            for term in self.at(states, robust, first, min(first + BLOCKS_AT_ONCE, self.n)):
                 J, e = term.jacobian, term.error
                 if term.loss != "none" and term.width < np.inf and not robust.plain:
                     value, across, along = _loss(term)
@@ -100,8 +148,9 @@ class Chain(Terms):
                     value = float((e * e).sum()) / 2
                     gradient = np.matmul(e[:, None], J)[:, 0]
                 cost += value
-                portion.add(term.blocks, term.at, J.swapaxes(-1, -2) @ J, gradient)
-            band.take(portion)
+                # As a stack of its own: numpy's product of a mere view takes several times as long.
+                back = np.ascontiguousarray(J.swapaxes(-1, -2))
+                band.add(term.blocks, term.at, back @ J, gradient)
         self._share_biases(band.gradient.blocks)
         return cost, band
 
@@ -113,30 +162,44 @@ class Chain(Terms):
         gradient[first[:, None], BIAS] = total
 
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
-        """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
-        _, band = self.linearize(states, robust, "weights")
-        fixes = self._fixes(states, np.arange(len(self.fixed)), np.inf)
-        try:
-            factor = band.factor()
-        except NotPositiveError as err:
-            raise self._failure(err.unknown) from err
-        cov = factor.inverse_blocks(fixes.at)
-        known, J = cov[self.fixed], fixes.jacobian
-        if J.shape[2] > len(fixes.at):  # a fix also depends on what the drive shares
-            across = factor.inverse_border(fixes.at)[self.fixed]
-            shared = np.broadcast_to(factor.cov_border, (len(known), *factor.cov_border.shape))
-            known = np.block([[known, across], [across.swapaxes(-1, -2), shared]])
-        whitened = J @ known @ J.swapaxes(-1, -2)
-        L = np.linalg.inv(self._whiten_fix)
-        return cov[:, :6, :6], L @ whitened @ L.swapaxes(-1, -2)
+        """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
+        factor = self._factor(states, robust)
+        kinds = {s: np.flatnonzero(self.source == s) for s in np.unique(self.source).tolist()}
+        terms = {s: self._positions(states, s, rows, np.inf) for s, rows in kinds.items()}
+        at = np.unique(np.concatenate([POSE, *(term.at for term in terms.values())]))
+        cov = factor.inverse_blocks(at)
+        across = factor.inverse_border(at) if self.shared else np.zeros((self.n, len(at), 0))
+        predicted = np.empty((self.rows, 3, 3))
+        for s, term in terms.items():
+            own = np.searchsorted(at, term.at)
+            J, keys = term.jacobian, self.key_of[kinds[s]]
+            known = cov[keys][:, own[:, None], own]
+            if J.shape[2] > len(own):  # it also depends on what the drive shares
+                side = across[keys][:, own]
+                shared = np.broadcast_to(factor.cov_border, (len(keys), *factor.cov_border.shape))
+                known = np.block([[known, side], [side.swapaxes(-1, -2), shared]])
+            L = np.linalg.inv(self._whiten_position[kinds[s]])
+            predicted[kinds[s]] = L @ (J @ known @ J.swapaxes(-1, -2)) @ L.swapaxes(-1, -2)
+        return cov[:, :6, :6], predicted
 
-    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
-        """Standard deviation in s of the fixes' lateness, None where it is not estimated."""
-        if not self.late.stop:
-            return None
+    def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
+        """Of what the drive shares and this graph estimates."""
+        if not self.shared:
+            return SharedSigmas()
+        sigma = np.sqrt(np.diagonal(self._factor(states, robust).cov_border))
+        return SharedSigmas(
+            float(sigma[0]) if self.late.stop else None,
+            sigma[self.offset_at] if self._estimates_offset else None,
+            {s: sigma[at] for s, at in self.survey_at.items()},
+        )
+
+    def _factor(self, states: States, robust: Robustness) -> BorderedFactor:
+        """Of reweighted least squares at some states; of the optimum just found it is there."""
+        if self._last is not None and self._last[0] is states and self._last[1] is robust:
+            return self._last[2]
         _, band = self.linearize(states, robust, "weights")
         try:
-            return float(np.sqrt(band.factor().cov_border[0, 0]))
+            return band.factor()
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
 
@@ -144,17 +207,30 @@ class Chain(Terms):
         """What to say where the normal equations cannot be solved."""
         if unknown >= self.n * self.width:
             return SolverError(
-                "the solver failed at what the drive shares: a lateness or a calibration"
+                "the solver failed at what the drive shares: a lateness, a calibration, the "
+                "box's centre or a survey"
             )
         j, i = divmod(unknown, self.width)
-        name = ("attitude", "position", "velocity", "accelerometer bias", "gyro bias",
-                "GNSS bias")[i // 3]  # fmt: skip
+        slow = [f"slow error of {self.model.sources[s].name}" for s in self.slow_at]
+        name = ["attitude", "position", "velocity", "accelerometer bias", "gyro bias",
+                *slow][i // 3]  # fmt: skip
         t_ns = int(self.model.t_ns[j])
         return SolverError(
             f"the solver failed at the {name} of keyframe {j}, t = {self.model.t_s[j]:.2f} s "
             f"({iso_utc(t_ns)}): nothing that was measured holds it, or a measurement is out of "
             "all bounds"
         )
+
+
+def position_errors(model: Model, states: States, n: int) -> Array:
+    """Predicted minus measured positions (n, 3) of the first n rows, ENU m, lateness and all."""
+    error, source = np.empty((n, 3)), model.positions.source[:n]
+    for s in np.unique(source).tolist():
+        rows = np.flatnonzero(source == s)
+        told = position_residual(model, states, rows, s)
+        late = late_source(model, s) and states.late_s != 0
+        error[rows] = late_residual(model, states, rows, s, told).error if late else told.error
+    return error
 
 
 def _loss(term: Term) -> tuple[float, Array, Array]:

@@ -16,7 +16,8 @@ OBSERVABLE_SHARE = 0.5
 def on_time(drive: Drive, config: SmoothConfig) -> Drive:
     """The drive with its rows at the instants when they were true; received as they were."""
     clock = config.clock
-    late_s = {"gnss": clock.gnss_s, "imu": clock.imu_s, "wheel": clock.wheel_s}
+    late_s = {"gnss": clock.gnss_s, "imu": clock.imu_s, "wheel": clock.wheel_s,
+              "detections": clock.nodes_s}  # fmt: skip
     tables = {
         name: replace(drive.tables[name], t_ns=drive.tables[name].t_ns - seconds_to_ns(s))
         for name, s in late_s.items()
@@ -33,18 +34,18 @@ def stamped_as_read(verdicts: Verdicts, drive: Drive) -> Verdicts:
 
 
 def shifted(config: SmoothConfig, late_s: float) -> SmoothConfig:
-    """The configuration that makes up for fixes which are so much later than the IMU."""
+    """The configuration that makes up for positions which are so much later than the IMU."""
     clock = config.clock
-    at_fault = {"gnss_s": clock.gnss_s + late_s}
-    if clock.estimate == "imu":
-        at_fault = {"imu_s": clock.imu_s - late_s}
+    key = f"{clock.estimate}_s"
+    sign = -1 if clock.estimate == "imu" else 1
+    at_fault = {key: getattr(clock, key) + sign * late_s}
     return config.model_copy(update={"clock": clock.model_copy(update=at_fault)})
 
 
 def summary(found: SmoothConfig, sigma_s: float) -> dict[str, Any]:
     """What is told of an estimated lateness, and of how sure that is."""
     source = found.clock.estimate
-    late_s = found.clock.imu_s if source == "imu" else found.clock.gnss_s
+    late_s: float = getattr(found.clock, f"{source}_s")
     observable = sigma_s < OBSERVABLE_SHARE * found.clock.sigma_s
     text = f"{source} stamps are {round(late_s, 3) + 0.0:.3f} s late (sigma {sigma_s:.2g} s)"
     if not observable:

@@ -1,9 +1,10 @@
 """The native graph of a drive: which variables there are, and the factors between them.
 
 Batch, incremental and fixed lag all build their graphs here. Keyframe j has a pose X(j) and a
-velocity V(j) as `model.py` says. Biases B(m) are shared; with a GNSS bias each fix adds an antenna
-point A(j) and a bias C(j), and L(0) is the lever arm. What the vehicle's constraints add is in
-`native_car.py`.
+velocity V(j) as `model.py` says. Biases B(m) are shared. A position, row i of the positions, whose
+source has errors to be estimated adds the measured point A(i), and C(i) where one of them is slow;
+L(0) and L(1) are the lever arms to antenna and box, and S(s) is what the survey of source s is off.
+What the vehicle's constraints add is in `native_car.py`.
 """
 
 from dataclasses import dataclass
@@ -12,14 +13,15 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, L, V, X
+from gtsam.symbol_shorthand import A, B, C, L, S, V, X
+from numpy.typing import ArrayLike
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
-from fgloc.factors import gnss, imu, noise
+from fgloc.factors import detection, gnss, imu, noise
 from fgloc.measurements import Array
+from fgloc.positions import GNSS
 from fgloc.smoother.model import (
-    LEVEL_SIGMA_RAD,
     POSITION_SIGMA_M,
     SPEED_SIGMA_MPS,
     Model,
@@ -61,7 +63,7 @@ class GraphModel(Model):
 
     def __init__(self, drive: Drive, plan: Plan, config: SmoothConfig) -> None:
         super().__init__(drive, plan, config)
-        self._fix_noises: dict[tuple[bytes, float], Any] = {}
+        self._noises: dict[int, tuple[bytes, float, Any]] = {}
 
     def _car(self) -> NativeCar:
         return NativeCar(self.drive, self.plan, self.config, self.bias_of, self.noise)
@@ -70,7 +72,7 @@ class GraphModel(Model):
     def thresholds(self) -> Thresholds:
         """By how much a pose may turn and move before iSAM2 relinearises it; see `SolverConfig`."""
         c = self.config.solver
-        variance = self.cov_world_m2[self.fix_of[self.fix_of >= 0]].trace(axis1=1, axis2=2) / 3
+        variance = self.cov_m2[self.guides].trace(axis1=1, axis2=2) / 3
         fix_m = float(np.sqrt(np.median(variance)))
         return Thresholds(c.relinearize_rad, c.relinearize_m or min(0.1, fix_m))
 
@@ -83,8 +85,7 @@ class GraphModel(Model):
 
     @cached_property
     def _gap_params(self) -> gtsam.PreintegrationParams:
-        c = self.config.imu
-        return imu.parameters(c.gap_accel_mps2, c.gap_gyro_radps, self.gravity_mps2)
+        return imu.parameters(*self.gap_noise, self.gravity_mps2)
 
     def interval(self, j: int) -> Interval:
         """The samples between keyframes j - 1 and j, preintegrated at zero bias."""
@@ -100,10 +101,10 @@ class GraphModel(Model):
 
     def prior_factors(self, j: int, state: State, yaw_sigma_rad: float) -> Factors:
         """What is known before any measurement, laid on keyframe j around a guessed state."""
-        tilt = np.array([LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, yaw_sigma_rad])
+        tilt = np.array([self.level_sigma_rad] * 2 + [yaw_sigma_rad])
         diagonal = gtsam.noiseModel.Diagonal.Sigmas
         level = gtsam.Rot3.Yaw(state.pose.rotation().yaw())
-        place = self.first_fix_m if j == 0 else state.pose.translation()
+        place = self.first_place_m if j == 0 else state.pose.translation()
         return [
             gtsam.PoseRotationPrior3D(X(j), level, diagonal(tilt)),
             gtsam.PoseTranslationPrior3D(X(j), place, diagonal(np.full(3, POSITION_SIGMA_M))),
@@ -135,37 +136,59 @@ class GraphModel(Model):
             factors.append(gtsam.BetweenFactorConstantBias(B(b), B(b + 1), still, walk))
         return factors
 
-    def fix_factors(self, j: int, loss_width: float | None = None) -> Factors:
-        """The GNSS fix at keyframe j; without a width of the loss, the configuration's."""
-        row = self.fix_of[j]
-        z = self.fixes.p_world_ant_m[row]
-        model = self._fix_noise(row, loss_width or self.config.gnss.loss_width)
-        if not self.has_gnss_bias:
-            return [gnss.position_factor(X(j), z, self.lever, model)]
-        return gnss.biased_position_factors(X(j), A(j), L(0), C(j), z, model)
+    def position_factors(self, i: int, fix_width: float | None = None) -> Factors:
+        """The measured position of row i; `fix_width` is the width of the fixes' loss, if not the
+        configuration's."""
+        s, j = int(self.positions.source[i]), int(self.key_of[i])
+        source, z = self.sources[s], self.positions.z_world_m[i]
+        width = source.settings.loss_width
+        if fix_width is not None and source.table == GNSS:
+            width = fix_width
+        model = self._position_noise(i, s, width)
+        if not source.linked:
+            return [gnss.position_factor(X(j), z, self.levers[s], model)]
+        by = {C(i): np.eye(3)} if source.bias is not None else {}
+        if source.surveyed:
+            by[S(s)] = -detection.by_survey(z[None], source.p_world_m)[0]
+        return gnss.linked_position_factors(X(j), A(i), self._lever_key(s), z, model, by)
 
-    def _fix_noise(self, row: int, width: float) -> Any:
-        """The noise model of a fix, built once for all rows of the same covariance."""
-        cov = self.cov_world_m2[row]
-        known = self._fix_noises.get(key := (cov.tobytes(), width))
-        if known is None and self.has_gnss_bias:
-            known = gtsam.noiseModel.Diagonal.Variances(np.diagonal(cov))
-        elif known is None:
-            loss = self.config.gnss.loss if np.isfinite(width) else "none"
-            known = noise.robust(noise.gaussian(cov), loss, width)
-        self._fix_noises = {key: known}
-        return known
+    def _position_noise(self, i: int, s: int, width: float) -> Any:
+        """The noise model of a row, built once where a source's covariance stays the same."""
+        cov = self.cov_world_m2[i]
+        known = self._noises.get(s)
+        if known is None or known[:2] != (cov.tobytes(), width):
+            loss = self.sources[s].settings.loss if np.isfinite(width) else "none"
+            model = noise.robust(noise.gaussian(cov), loss, width)
+            known = self._noises[s] = (cov.tobytes(), width, model)
+        return known[2]
 
-    def gnss_bias_factors(self, j: int, before: int | None) -> Factors:
-        """The bias chain's link to the fix at keyframe j from the fix at an earlier keyframe."""
-        if not self.has_gnss_bias:
+    def slow_factors(self, i: int, before: int | None) -> Factors:
+        """The link of a source's slow error at row i to that at an earlier row of the source."""
+        bias = self.sources[int(self.positions.source[i])].bias
+        if bias is None:
             return []
-        c = self.config.gnss
         if before is None:
-            wide = gtsam.noiseModel.Isotropic.Sigma(3, c.bias_sigma_m)
-            return [gtsam.PriorFactorVector(C(j), np.zeros(3), wide)]
-        dt_s = self.t_s[j] - self.t_s[before]
-        return [gnss.bias_transition_factor(C(before), C(j), dt_s, c.bias_sigma_m, c.bias_tau_s)]
+            wide = gtsam.noiseModel.Isotropic.Sigma(3, bias.sigma_m)
+            return [gtsam.PriorFactorVector(C(i), np.zeros(3), wide)]
+        dt_s = float(self.t_s[self.key_of[i]] - self.t_s[self.key_of[before]])
+        return [gnss.bias_transition_factor(C(before), C(i), dt_s, bias.sigma_m, bias.tau_s)]
+
+    def position_keys(self, i: int) -> list[int]:
+        """The variables that row i adds."""
+        source = self.sources[int(self.positions.source[i])]
+        return [A(i)] * source.linked + [C(i)] * (source.bias is not None)
+
+    def _lever_key(self, s: int) -> int:
+        return L(0 if self.sources[s].table == GNSS else 1)
+
+    @property
+    def _lever_keys(self) -> dict[int, int]:
+        """The lever-arm variables that there are, with a source that has each."""
+        return {self._lever_key(s): s for s, source in enumerate(self.sources) if source.linked}
+
+    @property
+    def _surveyed(self) -> list[int]:
+        return [s for s, source in enumerate(self.sources) if source.surveyed]
 
     def insert(self, values: gtsam.Values, j: int, state: State, *, new_bias: bool) -> None:
         """Put a keyframe's first values in; the fix's variables come with `insert_fix`."""
@@ -174,29 +197,41 @@ class GraphModel(Model):
         if new_bias:
             values.insert(B(self.bias_of[j]), state.bias)
 
-    def insert_fix(self, values: gtsam.Values, j: int, pose: gtsam.Pose3) -> None:
-        """Put in the variables that a fix at keyframe j adds, where it adds any."""
-        if self.has_gnss_bias:
-            values.insert(A(j), pose.transformFrom(self.lever))
-            values.insert(C(j), np.zeros(3))
+    def insert_position(self, values: gtsam.Values, i: int, slow: ArrayLike = (0, 0, 0)) -> None:
+        """Put in the variables that row i adds, where it adds any.
+
+        `slow` is about what the source's slow error (3,) is, in m: the measured point is put where
+        that says, so that the loss sees what remains.
+        """
+        source = self.sources[int(self.positions.source[i])]
+        if source.linked:
+            values.insert(A(i), self.positions.z_world_m[i] - np.asarray(slow, float))
+        if source.bias is not None:
+            values.insert(C(i), np.array(slow, float))
 
     def insert_shared(self, values: gtsam.Values) -> None:
         """Put in the variables that all keyframes share."""
-        if self.has_gnss_bias:
-            values.insert(L(0), self.lever)
+        for key, s in self._lever_keys.items():
+            values.insert(key, self.levers[s])
+        for s in self._surveyed:
+            values.insert(S(s), np.zeros(3))
         self.car.insert_shared(values)
 
     @property
     def shared_keys(self) -> list[int]:
         """The variables that all keyframes share."""
-        return [L(0), *self.car.keys] if self.has_gnss_bias else self.car.keys
+        return [*self._lever_keys, *(S(s) for s in self._surveyed), *self.car.keys]
 
     def _shared_priors(self) -> Factors:
-        if not self.has_gnss_bias:
-            return self.car.prior_factors()
-        tight = gtsam.noiseModel.Isotropic.Sigma(3, LEVER_SIGMA_M)
-        lever = gtsam.PriorFactorPoint3(L(0), self.lever, tight)
-        return [lever, *self.car.prior_factors()]
+        factors: Factors = []
+        for key, s in self._lever_keys.items():
+            loose = self.sources[s].point_sigma_m or LEVER_SIGMA_M
+            tight = gtsam.noiseModel.Isotropic.Sigma(3, loose)
+            factors.append(gtsam.PriorFactorPoint3(key, self.levers[s], tight))
+        for s in self._surveyed:
+            known = gtsam.noiseModel.Diagonal.Sigmas(self.sources[s].survey_sigmas)
+            factors.append(gtsam.PriorFactorVector(S(s), np.zeros(3), known))
+        return [*factors, *self.car.prior_factors()]
 
 
 def read_state(values: gtsam.Values, j: int, bias: int) -> State:

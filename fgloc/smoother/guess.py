@@ -55,10 +55,10 @@ def guess(model: Model, first: int, last: int, turn_rad: Array) -> Guess:
     `turn_rad` (n,) is the yaw that the gyro alone gives, as from `gyro_yaw`.
     """
     keys = np.arange(first, last + 1)
-    with_fix = keys[model.fix_of[keys] >= 0]
-    rows = model.fix_of[with_fix]
-    t, z = model.t_s[with_fix], model.fixes.p_world_ant_m[rows]
-    sigma = np.sqrt(model.cov_world_m2[rows][:, :2, :2].trace(axis1=1, axis2=2) / 2)
+    rows = model.fixed(first, last + 1)
+    with_fix = model.key_of[rows]
+    t, z = model.t_s[with_fix], model.positions.z_world_m[rows]
+    sigma = np.sqrt(model.cov_m2[rows][:, :2, :2].trace(axis1=1, axis2=2) / 2)
     v, sigma_v = _slopes(t, z, sigma)
     at = model.t_s[keys]
     speed = np.linalg.norm(v[:, :2], axis=1)
@@ -69,7 +69,7 @@ def guess(model: Model, first: int, last: int, turn_rad: Array) -> Guess:
         offset = course - turn_rad[with_fix[good]]
         yaw += _smooth_angle(t[good], offset, (speed[good] / sigma_v[good]) ** 2, at)
     R = frames.yaw_matrix(yaw)
-    p = _interpolate(at, t, z) - R @ model.lever
+    p = _interpolate(at, t, z) - R @ model.levers[model.positions.source[rows[0]]]
     return Guess(first, R, p, _interpolate(at, t, v), bool(good.any()))
 
 

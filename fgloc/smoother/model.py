@@ -2,29 +2,27 @@
 
 Keyframe j has a pose and a velocity, of the IMU's place along the vehicle's axes: GTSAM's own way
 with a lever arm to the IMU leaves out the tangential acceleration, which is 0.1 m/s^2 where a bend
-begins. A bias of the IMU is shared by the keyframes of `bias_interval_s`. A GNSS bias, if there is
-one, belongs to each fix.
+begins. A bias of the IMU is shared by the keyframes of `bias_interval_s`. A slow error of a source
+of positions, if there is one, belongs to each of its rows.
 """
 
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from fgloc.chi_square import chi2_quantile
 from fgloc.config import SmoothConfig
-from fgloc.drive import Drive, ImuNoise
+from fgloc.drive import Drive, ImuNoise, Noise
 from fgloc.errors import DriveError
 from fgloc.factors import gnss, imu
 from fgloc.factors.preintegration import preintegrate
 from fgloc.frames import skew
 from fgloc.measurements import Array
+from fgloc.positions import position_sources
 from fgloc.smoother.car import Car
 from fgloc.sync import Plan
 from fgloc.timing import elapsed_s
 
-LEVEL_SIGMA_RAD = 0.2
-"""A road vehicle is level to this at the start."""
 YAW_SIGMA_RAD = 10.0
 """Nothing is known of the yaw: so wide that the guess it is laid around leaves no trace."""
 POSITION_SIGMA_M = 100.0
@@ -41,18 +39,21 @@ class Model:
     def __init__(self, drive: Drive, plan: Plan, config: SmoothConfig) -> None:
         self.drive, self.plan, self.config = drive, plan, config
         self.epochs = plan.epochs
-        self.fixes = drive.gnss
-        self.p_veh_imu_m = np.array(drive.rig.T_veh_imu[:3, 3])
-        self.lever = drive.rig.p_veh_ant_m - self.p_veh_imu_m
-        self.antenna_by_pose = np.hstack([-skew(self.lever), np.eye(3)])
+        self.positions = plan.positions
+        self.sources = position_sources(drive, config)
+        self.p_veh_imu_m = np.array(plan.motion.T_veh_imu[:3, 3])
+        self.levers = [source.p_veh_m - self.p_veh_imu_m for source in self.sources]
+        self.point_by_pose = [np.hstack([-skew(lever), np.eye(3)]) for lever in self.levers]
+        self.slow = [s for s, source in enumerate(self.sources) if source.bias is not None]
         self.epoch_of = self.epochs.keyframes
         self.t_ns = self.epochs.t_ns[self.epoch_of]
         self.t_s = elapsed_s(self.t_ns, int(self.t_ns[0]))
-        self.fix_of = self.epochs.fix_row[self.epoch_of]
-        self.noise = _imu_noise(drive, config)
-        self.gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
+        self.key_of = np.searchsorted(self.t_ns, self.positions.t_ns)
+        self.noise: Noise = plan.motion.noise or _imu_noise(drive, config)
+        self.level_sigma_rad = plan.motion.level_sigma_rad
+        gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
+        self.gravity_mps2 = 0.0 if plan.motion.is_made_up else gravity_mps2
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
-        self.has_gnss_bias = config.gnss.bias_sigma_m > 0
         self.shifted_s = 0.0  # by how much an estimated lateness has moved the fixes already
         self.car = self._car()
 
@@ -63,29 +64,39 @@ class Model:
         return Car(self.drive, self.plan, self.config, self.bias_of, self.noise)
 
     @cached_property
-    def cov_world_m2(self) -> Array:
-        """(N, 3, 3) covariance of every fix as the graph believes it."""
-        return self.fixes.cov_world_m2 * self.config.gnss.sigma_scale**2
+    def guides(self) -> NDArray[np.int64]:
+        """Rows of the positions that are surely of the vehicle: the first guess is laid by them."""
+        return np.flatnonzero(~self.positions.candidates)
+
+    def fixed(self, first: int, stop: int) -> NDArray[np.int64]:
+        """The guides at keyframes first..stop - 1."""
+        return self.guides[slice(*np.searchsorted(self.key_of[self.guides], [first, stop]))]
 
     @cached_property
-    def first_fix_m(self) -> Array:
-        """The antenna's position (3,) by the first usable fix."""
-        return self.fixes.p_world_ant_m[self.fix_of[self.fix_of >= 0][0]]
+    def first_place_m(self) -> Array:
+        """About where the vehicle begins (3,): by the first guide."""
+        return self.positions.z_world_m[self.guides[0]]
 
     @cached_property
     def bias_sigmas(self) -> Array:
         """How far the IMU's biases (6,) may be from zero at the start: m/s^2, then rad/s."""
         n = self.noise
-        return np.array([n.accel_bias_sigma_mps2] * 3 + [n.gyro_bias_sigma_radps] * 3)
+        sigmas = n.accel_bias_sigma_mps2, n.gyro_bias_sigma_radps
+        return np.concatenate([np.broadcast_to(sigma, 3) for sigma in sigmas])
 
-    def cov_of_fixes(self, keys: NDArray[np.int64]) -> Array:
-        """(n, 3, 3) covariance with which the fixes at some keyframes enter the graph.
+    @cached_property
+    def cov_world_m2(self) -> Array:
+        """(n, 3, 3) covariance of every position as the configuration believes it."""
+        scale = np.array([source.settings.sigma_scale for source in self.sources])
+        return self.positions.cov_world_m2 * scale[self.positions.source, None, None] ** 2
 
-        With a GNSS bias it is what GTSAM is given: the axes alone, and the slack of the tie
-        between pose and antenna.
-        """
-        cov = self.cov_world_m2[self.fix_of[keys]]
-        return cov * np.eye(3) + gnss.ANTENNA_SIGMA_M**2 * np.eye(3) if self.has_gnss_bias else cov
+    @cached_property
+    def cov_m2(self) -> Array:
+        """(n, 3, 3) covariance with which the positions enter the graph: with the slack of the tie
+        between pose and point where there is one."""
+        tied = np.array([source.linked for source in self.sources])[self.positions.source]
+        slack = np.where(tied, gnss.TIE_SIGMA_M**2, 0.0)
+        return self.cov_world_m2 + slack[:, None, None] * np.eye(3)
 
     def deltas(self) -> tuple[imu.ImuDeltas, imu.ImuDeltas]:
         """The IMU from each keyframe to the next, and to each output epoch before that one.
@@ -110,16 +121,19 @@ class Model:
         return out.take(is_keyframe), out.take(~is_keyframe)
 
     def _densities(self, epochs: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Noise of accelerometer and gyro (n,) on the way to some epochs, in a gap or not."""
-        n, c, gap = self.noise, self.config.imu, self.epochs.in_gap[epochs]
-        return (np.where(gap, c.gap_accel_mps2, n.accel_noise_mps2_per_sqrt_hz),
-                np.where(gap, c.gap_gyro_radps, n.gyro_noise_radps_per_sqrt_hz))  # fmt: skip
+        """Noise of accelerometer and gyro on the way to some epochs, in a gap or not: (n,), or
+        (n, 3) where the axes are not alike."""
+        n, gap = self.noise, self.epochs.in_gap[epochs]
+        plain = n.accel_noise_mps2_per_sqrt_hz, n.gyro_noise_radps_per_sqrt_hz
+        gap = gap if np.ndim(plain[0]) == 0 else gap[:, None]
+        accel, gyro = (np.where(gap, *pair) for pair in zip(self.gap_noise, plain, strict=True))
+        return accel, gyro
 
-    @cached_property
-    def gate_nis(self) -> float:
-        """NIS of a three-dimensional fix above which it is gated."""
-        c = self.config.gnss
-        return chi2_quantile(c.gate_probability, 3) * c.gate_slack**2
+    @property
+    def gap_noise(self) -> tuple[ArrayLike, ArrayLike]:
+        """Densities in a gap, of accelerometer and gyro: for all axes, or (3,)."""
+        c = self.config.imu
+        return self.plan.motion.gap_noise or (c.gap_accel_mps2, c.gap_gyro_radps)
 
 
 def _imu_noise(drive: Drive, config: SmoothConfig) -> ImuNoise:

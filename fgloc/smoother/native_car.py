@@ -9,8 +9,9 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, K, V, W, X, Y, Z
 
-from fgloc.factors import noise, vehicle
+from fgloc.factors import noise, vehicle, velocity
 from fgloc.measurements import Array
+from fgloc.smoother import velocities
 from fgloc.smoother.car import SLIP_WIDTH, STILL_WIDTH, WHEEL_WIDTH, Car
 
 Factors = list[gtsam.NonlinearFactor]
@@ -80,12 +81,20 @@ class NativeCar(Car):
         model = noise.robust(still, "huber", STILL_WIDTH)
         return vehicle.standstill_factors(V(j), bias, rate, model, self.still_rate_sigma)
 
+    def velocity_factors(self, j: int) -> Factors:
+        """The velocity at keyframe j."""
+        told = self.velocities
+        plain = gtsam.noiseModel.Isotropic.Sigma(3, told.sigma_mps[j])
+        model = noise.robust(plain, "huber", velocities.WIDTH)
+        return [velocity.factor(V(j), told.v_world_mps[j], model)]
+
     def factors(self, j: int) -> Factors:
         """All that is known at keyframe j, for a graph that is built at once."""
         return [
             *(self.axis_factors(j) if self.in_force[j] else []),
             *(self.wheel_factors(j) if self.wheel_row[j] >= 0 else []),
             *(self.still_factors(j) if self.stands[j] else []),
+            *(self.velocity_factors(j) if self.velocities.row[j] >= 0 else []),
         ]
 
     def calibration(self, values: gtsam.Values) -> Array:

@@ -4,14 +4,17 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from fgloc.smoother.band import Band, NotPositiveError, Vector
+from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
 from fgloc.smoother.states import Robustness, States
 
 Curvature = Literal["newton", "weights"]
 FIRST_DAMPING, MAX_DAMPING = 1e-4, 1e10
 """In units of `Cost.damping`; a step that climbs takes ten times the last one's."""
-NEAR = 0.01
-"""Where nearness will do, a step may still promise this share of the cost."""
+NEAR = 0.1
+"""Where nearness will do, the last step may promise this share of the cost."""
+SURE, SHORT_RAD = 1e-3, 0.01
+"""After a step that promises this share of the cost the next will be the last: its curvature is
+that of covariances. If it turns nothing by more than this, it does what it promises."""
 
 
 class Cost(Protocol):
@@ -31,12 +34,17 @@ class Cost(Protocol):
 
 
 class Descent:
-    """Steps down one cost, at most so many: `iterations` counts them, `converged` says whether
-    they were enough."""
+    """Steps down one cost, at most so many.
+
+    iterations  how many there were
+    converged   whether they were enough
+    factor      that of the last step, where it is the one that covariances are taken from
+    """
 
     def __init__(self, cost: Cost, robust: Robustness, most: int) -> None:
         self.cost, self.robust, self.most = cost, robust, most
         self.iterations, self.converged = 0, False
+        self.factor: BorderedFactor | None = None
 
     def run(self, states: States, tolerance: float, share: float = 0.0) -> tuple[States, float]:
         """The states where a step promises less than a tolerance or a share of the cost; the cost.
@@ -50,14 +58,19 @@ class Descent:
         value, band = self.cost.linearize(states, self.robust, curvature)
         while True:
             self.iterations += 1
-            step, promise, damping = self._step(states, band, curvature, damping)
+            factor, step, promise, damping = self._step(states, band, curvature, damping)
             trial = self.cost.moved(states, step)
             done = promise <= max(tolerance, share * value) and damping < FIRST_DAMPING
-            trial_value, trial_band = self.cost.linearize(trial, self.robust, "newton")
+            if done and np.abs(step.blocks[:, :3]).max() < SHORT_RAD:
+                self.converged = True
+                self.factor = factor if curvature == "weights" and damping == 0 else None
+                return trial, value - promise
+            del band, factor  # which have the same memory: there is room for one
+            following: Curvature = "weights" if promise <= SURE * value else "newton"
+            trial_value, band = self.cost.linearize(trial, self.robust, following)
             climbs = not trial_value <= value
             if not climbs:
-                states, value, band = trial, trial_value, trial_band
-                curvature, damping = "newton", damping / 10
+                states, value, curvature, damping = trial, trial_value, following, damping / 10
             if done or self.iterations >= self.most:
                 self.converged = done
                 return states, value
@@ -66,18 +79,20 @@ class Descent:
                     curvature = "weights"
                 else:
                     damping = max(10 * damping, FIRST_DAMPING)
+                del band
                 _, band = self.cost.linearize(states, self.robust, curvature)
 
     def _step(
         self, states: States, band: Band, curvature: Curvature, damping: float
-    ) -> tuple[Vector, float, float]:
-        """A step up the gradient, the decrease that going down it promises, its damping."""
+    ) -> tuple[BorderedFactor, Vector, float, float]:
+        """A step up the gradient by a factor, the decrease that going down it promises, its
+        damping."""
         while True:
             try:
                 blocks, border = self.cost.damping
-                added = Vector(damping * blocks, damping * border)
-                step = band.factor(added).solve(band.gradient)
-                return step, step.dot(band.gradient) / 2, damping
+                factor = band.factor(Vector(damping * blocks, damping * border))
+                step = factor.solve(band.gradient)
+                return factor, step, step.dot(band.gradient) / 2, damping
             except NotPositiveError:
                 damping = max(10 * damping, FIRST_DAMPING)
                 if damping > MAX_DAMPING or not np.isfinite(band.gradient.blocks).all():

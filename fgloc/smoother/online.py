@@ -1,28 +1,27 @@
 """The drive as it arrives: iSAM2, whole or over a fixed lag.
 
 Each keyframe is one update. What is written for an epoch is the estimate at the moment it was the
-newest: after its update for a keyframe, carried there by the IMU for an output epoch. Fixes enter
-when they were received, at the state of the instant when they were true.
+newest: after its update for a keyframe, carried there by the IMU for an output epoch.
 
 Until the fixes show a course the yaw is unknown and nothing is gated; then the past is solved once
 more from the right heading. A solver that fails is replaced by one grown anew over its window.
 """
 
-from bisect import insort
 from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, V, X
+from gtsam.symbol_shorthand import B, V, X
 
-from fgloc.factors import imu, noise
+from fgloc.factors import imu
 from fgloc.measurements import Array
 from fgloc.result import Event
 from fgloc.smoother.dense import fill
 from fgloc.smoother.graph import Factors, GraphModel, Interval, State, read_state
 from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, stretch
 from fgloc.smoother.model import OBSERVED_YAW_RAD, YAW_SIGMA_RAD
-from fgloc.smoother.online_car import OnlineCar, arrivals
+from fgloc.smoother.online_car import OnlineCar
+from fgloc.smoother.online_positions import OnlinePositions
 from fgloc.smoother.solve import (
     explain_failure,
     first_values,
@@ -32,7 +31,6 @@ from fgloc.smoother.solve import (
 )
 from fgloc.smoother.states import StateLog, yaw_sigma_rad
 from fgloc.smoother.tree import FixedLagTree, Stamps, WholeTree, as_graph, relinearized
-from fgloc.verdicts import Verdict
 
 UNKNOWN_YAW_SIGMA_RAD = float(np.pi / np.sqrt(3))
 """Of a heading uniform over the circle: the prior until the vehicle's course can be seen."""
@@ -43,8 +41,6 @@ ALIGN_WINDOW_S = 60.0
 """Until then it holds this much of the past."""
 ALIGN_SIGMAS, ALIGN_DISTANCE_M, ALIGN_SPAN_S = 8.0, 2.0, 20.0
 """Two fixes show a course when so many sigmas, at least so far and at most so long apart."""
-OPEN_ANYWAY = 2.0
-"""After so many times the reset the gate opens to any fix, not only to two that agree."""
 EXTRA_UPDATES = 3
 """More iterations where a fix moves the state far, as at the end of an outage."""
 INFLATION = 10.0
@@ -68,18 +64,13 @@ class Online:
         self._intervals: dict[int, Interval] = {}
         self._states: dict[int, State] = {}
         self._covs: dict[int, Array] = {}
-        self._accepted: list[int] = []
-        self._accepted_s = 0.0
-        self._refused: Array | None = None
+        self._positions = OnlinePositions(model, self.events)
         self._car = OnlineCar(model)
         self._harvested = 0
 
     def run(self) -> None:
         """Feed every keyframe; raises SolverError where even a rebuilt window cannot be solved."""
-        model = self.model
-        with_fix = np.flatnonzero(model.fix_of >= 0)
-        received = model.fixes.received_ns[model.fix_of[with_fix]]
-        arriving = arrivals(model.t_ns, with_fix, received)
+        model, arriving = self.model, self._positions.arriving
         for j in range(len(model)):
             try:
                 self._step(j, arriving[j])
@@ -92,7 +83,7 @@ class Online:
         """Factors in the tree at the end."""
         return int(self._tree.isam.getFactorsUnsafe().nrFactors())
 
-    def _step(self, j: int, fixes: list[int]) -> None:
+    def _step(self, j: int, rows: list[int]) -> None:
         """Carry the state to keyframe j, take in what has arrived, write the epochs."""
         model, values = self.model, gtsam.Values()
         if j == 0:
@@ -108,105 +99,23 @@ class Online:
         new_bias = j == 0 or bool(model.bias_of[j] != model.bias_of[j - 1])
         model.insert(values, j, state, new_bias=new_bias)
         factors += self._car.take_in(j, state, predicted, values, self._tree, aligned=self._aligned)
-        more, far = self._take_in(j, fixes, values, state.pose, predicted[:6, :6])
+        more, far = self._positions.take_in(
+            j, rows, values, state.pose, predicted[:6, :6], self._tree, aligned=self._aligned
+        )
         self._harvest(j)
         self._update(j, [*factors, *more], values, EXTRA_UPDATES if far else 0)
-        self._weigh(far)
+        self._positions.weigh(far, self._tree)
         self._car.read(j, self._tree)
-        if not self._aligned and fixes:
+        if not self._aligned and rows:
             self._try_to_align(j)
         self._note_yaw(j)
         self._forget(j)
 
     def _initial_state(self) -> State:
         model = self.model
-        first = model.fixes.p_world_ant_m[model.fix_of[model.fix_of >= 0][0]]
-        pose = gtsam.Pose3(gtsam.Rot3(), first - model.lever)
+        lever = model.levers[int(model.positions.source[model.guides[0]])]
+        pose = gtsam.Pose3(gtsam.Rot3(), model.first_place_m - lever)
         return State(pose, np.zeros(3), gtsam.imuBias.ConstantBias())
-
-    def _take_in(
-        self, j: int, fixes: list[int], values: gtsam.Values, pose: gtsam.Pose3, predicted: Array
-    ) -> tuple[Factors, list[int]]:
-        """Factors of the fixes that are in time and pass the gate, and those that lie far."""
-        factors: Factors = []
-        far_keys = []
-        for key in fixes:
-            if self._is_late(key, j):
-                continue
-            there = pose if key == j else self._tree.pose(X(key))
-            cov = predicted if key == j else self._tree.covariance([X(key)])
-            accepted, far = self._gate(key, there, cov)
-            if accepted:
-                far_keys += [key] if far else []
-                before = self._accepted[-1] if self._accepted else None
-                self.model.insert_fix(values, key, there)
-                factors += self.model.gnss_bias_factors(key, before)
-                factors += self.model.fix_factors(key)
-                insort(self._accepted, key)
-                self._accepted_s = float(self.model.t_s[j])
-        return factors, far_keys
-
-    def _weigh(self, keys: list[int]) -> None:
-        """Note which of the fixes that lay far the loss still weighs down, now that they are in."""
-        model, c = self.model, self.model.config.gnss
-        if model.has_gnss_bias:
-            return
-        for key in keys:
-            row = model.fix_of[key]
-            error = self._tree.pose(X(key)).transformFrom(model.lever)
-            error = error - model.fixes.p_world_ant_m[row]
-            norm = np.sqrt(error @ np.linalg.solve(model.cov_world_m2[row], error))
-            weight = float(noise.weight(norm, c.loss, c.loss_width))
-            if weight < 1:
-                reason = f"{c.loss} weight {weight:.3g}"
-                model.plan.verdicts["gnss"].set(row, Verdict.DOWN_WEIGHTED, reason)
-
-    def _is_late(self, key: int, j: int) -> bool:
-        """Give a fix its verdict where its state, or the bias chain, has passed it by."""
-        passed = self.model.has_gnss_bias and bool(self._accepted) and key < self._accepted[-1]
-        if key == j or (self._tree.holds(X(key)) and not passed):
-            return False
-        age_s = self.model.t_s[j] - self.model.t_s[key]
-        why = "a later fix is in the bias chain" if passed else f"the lag is {self.lag_s:g} s"
-        row = self.model.fix_of[key]
-        self.model.plan.verdicts["gnss"].set(row, Verdict.LATE, f"{age_s:.2f} s old; {why}")
-        return True
-
-    def _gate(self, key: int, pose: gtsam.Pose3, cov: Array) -> tuple[bool, bool]:
-        """Whether a fix is accepted, and whether it lies far from the prediction."""
-        model, c, row = self.model, self.model.config.gnss, self.model.fix_of[key]
-        R = pose.rotation().matrix()
-        H = R @ model.antenna_by_pose
-        error = pose.transformFrom(model.lever) - model.fixes.p_world_ant_m[row]
-        R_fix = model.cov_world_m2[row]
-        S = H @ cov @ H.T + R_fix + c.bias_sigma_m**2 * np.eye(3)
-        nis = float(error @ np.linalg.solve(S, error))
-        fits = nis <= model.gate_nis
-        waited = float(model.t_s[key] - self._accepted_s) / c.gate_reset_s
-        agrees = self._agrees_with_the_last(error, R_fix)
-        opens = waited > (1 if agrees else OPEN_ANYWAY)
-        accepted = fits or opens or not self._aligned
-        self._refused = None if accepted else error
-        verdicts = model.plan.verdicts["gnss"]
-        if self._aligned:
-            verdicts.nis[row], verdicts.dof[row], verdicts.threshold[row] = nis, 3, model.gate_nis
-        far = float(error @ np.linalg.solve(R_fix, error)) > c.loss_width**2
-        if not accepted:
-            verdicts.set(row, Verdict.GATED, "does not fit the prediction")
-        else:
-            verdicts.set(row, Verdict.USED, "" if self._aligned else "before the yaw was aligned")
-        if accepted and not fits and self._aligned:
-            text = f"no fix accepted for {waited * c.gate_reset_s:.1f} s: the gate opened"
-            self._event(key, "gate reset", text)
-        return accepted, far
-
-    def _agrees_with_the_last(self, error: Array, cov: Array) -> bool:
-        """Whether a fix that does not fit errs as the one refused before it did: one that is wrong
-        by itself must not move the state to where it is."""
-        if self._refused is None:
-            return False
-        apart = error - self._refused
-        return float(apart @ np.linalg.solve(2 * cov, apart)) <= self.model.gate_nis
 
     def _update(self, j: int, factors: Factors, values: gtsam.Values, extra: int) -> None:
         """One update of the tree and the newest state read from it; a failed tree is replaced."""
@@ -229,7 +138,8 @@ class Online:
             first, self._states[first], self._covs[first] * INFLATION
         )  # fmt: skip
         states = [self._states[k] for k in range(first, j + 1)]
-        values = window_values(self.model, first, states, self._accepted, self._car.axes)
+        rows = self._positions.since(first)
+        values = window_values(self.model, first, states, rows, self._car.axes)
         try:
             self._regrow(first, j, self._window(first, j, prior), values, "qr")
         except RuntimeError as again:
@@ -245,7 +155,8 @@ class Online:
         """Once the fixes show a course, start the yaw from it and solve the past again."""
         model = self.model
         first = self._window_start(j, None if self.lag_s is None else ALIGN_WINDOW_S)
-        if not _shows_course(model, [k for k in self._accepted if k >= first]):
+        rows = self._positions.since(first)
+        if not _shows_course(model, rows):
             return
         start = guess(model, first, j, self._turn_rad)
         if not start.yaw_known:
@@ -254,22 +165,22 @@ class Online:
         base = State(pose, start.v_world_mps[0], gtsam.imuBias.ConstantBias())
         self._car.admit(first, j)
         groups = self._window(first, j, model.prior_factors(first, base, YAW_SIGMA_RAD))
-        start = self._choose_yaw(start, groups)
-        values = first_values(model, start, j + 1 - first, self._accepted)
+        start = self._choose_yaw(start, groups, rows)
+        values = first_values(model, start, j + 1 - first, rows)
         self._regrow(first, j, groups, values, model.config.solver.factorization)
         self._aligned = True
         self._event(
             j, "aligned", "the fixes show a course: yaw started from it, the past re-solved"
         )
 
-    def _choose_yaw(self, start: Guess, groups: list[Factors]) -> Guess:
+    def _choose_yaw(self, start: Guess, groups: list[Factors], rows: list[int]) -> Guess:
         """The guess turned to the heading that fits; `groups[k]` are of keyframe first + k."""
         model, n = self.model, stretch(start)
         graph = as_graph(factor for group in groups[:n] for factor in group)
-        fixes = int((model.fix_of[start.first : start.first + n] >= 0).sum())
+        fixes = len(model.fixed(start.first, start.first + n))
 
         def cost(turned: Guess) -> float:
-            values = first_values(model, turned, n, self._accepted)
+            values = first_values(model, turned, n, rows)
             return float(graph.error(optimize(graph, values, model)[0]))
 
         return choose_yaw(start, fixes, cost)
@@ -280,15 +191,10 @@ class Online:
         groups += [
             self.model.motion_factors(k, self._intervals[k].pim) for k in range(first + 1, j + 1)
         ]
-        before = None
         for k in range(first, j + 1):
             groups[k - first] += self._car.factors(k)
-        for k in sorted(k for k in self._accepted if k >= first):
-            groups[k - first] = [
-                *groups[k - first], *self.model.gnss_bias_factors(k, before),
-                *self.model.fix_factors(k),
-            ]  # fmt: skip
-            before = k
+        for k, factors in self._positions.factors(first):
+            groups[k - first] += factors
         return groups
 
     def _regrow(
@@ -316,18 +222,13 @@ class Online:
         for k in range(first, j + 1):
             t = float(self.model.t_s[k])
             stamps |= {X(k): t, V(k): t, B(int(self.model.bias_of[k])): t}
-        if self.model.has_gnss_bias:
-            keys = [k for k in self._accepted if k >= first]
-            stamps |= {key(k): float(self.model.t_s[k]) for k in keys for key in (A, C)}
-        stamps |= self._car.stamps(first, j)
+        stamps |= self._positions.stamps(first) | self._car.stamps(first, j)
         return stamps | dict.fromkeys(self._alive(j), float(self.model.t_s[j]))
 
     def _alive(self, j: int) -> list[int]:
         """Variables that later factors will touch, whatever their age."""
-        keys = [B(int(self.model.bias_of[j])), *self.model.shared_keys]
-        if self.model.has_gnss_bias:
-            keys += [C(k) for k in self._accepted[-1:]]
-        return keys
+        shared = self.model.shared_keys
+        return [B(int(self.model.bias_of[j])), *shared, *self._positions.alive()]
 
     def _read(self, j: int) -> None:
         """Take the newest state and its covariance out of the tree and write its epoch."""
@@ -370,10 +271,14 @@ class Online:
         cov = tree.covariance([X(k)])
         self.last.put(self.model.epoch_of[k], *_plain(state), cov, self.bias[k, 3:])
 
-    def _finish(self, fixes: list[int]) -> None:
-        """Take in fixes that arrived after the last keyframe; read what is still to be read."""
+    def _finish(self, rows: list[int]) -> None:
+        """Take in what arrived after the last keyframe; read what is still to be read."""
         j, values = len(self.model) - 1, gtsam.Values()
-        late, _ = self._take_in(j, fixes, values, self._states[j].pose, self._covs[j][:6, :6])
+        late, _ = self._positions.take_in(
+            j, rows, values, self._states[j].pose, self._covs[j][:6, :6], self._tree,
+            aligned=self._aligned,
+        )  # fmt: skip
+        self._positions.finish()
         late += self._car.finish(self._tree, aligned=self._aligned)
         if late:
             try:
@@ -396,8 +301,7 @@ class Online:
             while store and (oldest := next(iter(store))) < keep:
                 del store[oldest]
         self._car.forget(keep)
-        while len(self._accepted) > 1 and self._accepted[0] < keep:
-            del self._accepted[0]
+        self._positions.forget(keep)
 
     def _held_s(self) -> float:
         """How much of the past a fixed lag holds now, s."""
@@ -422,7 +326,7 @@ class Online:
         sigma = yaw_sigma_rad(self._states[j].pose.rotation().matrix(), self._covs[j][:3, :3])
         if self.yaw_observable_ns is None and sigma < OBSERVED_YAW_RAD:
             self.yaw_observable_ns = int(self.model.t_ns[j])
-        if sigma < SETTLED_YAW_RAD:
+        if sigma < SETTLED_YAW_RAD or self.model.plan.motion.forgets_yaw:
             self._settled = True
             if isinstance(self._tree, FixedLagTree):
                 self._tree.shorten(self._held_s())
@@ -447,14 +351,15 @@ def _predict(
     return State(nav.pose(), nav.velocity(), state.bias), predicted
 
 
-def _shows_course(model: GraphModel, keys: Sequence[int]) -> bool:
-    """Whether the newest fix lies far enough from one of the last seconds to tell a direction."""
-    if len(keys) < 3:
+def _shows_course(model: GraphModel, rows: Sequence[int]) -> bool:
+    """Whether the newest position lies far enough from one of the last seconds to tell a
+    direction."""
+    if len(rows) < 3:
         return False
-    recent = [k for k in keys if model.t_s[k] >= model.t_s[keys[-1]] - ALIGN_SPAN_S]
-    rows = model.fix_of[recent]
-    z = model.fixes.p_world_ant_m[rows][:, :2]
-    variance = model.cov_world_m2[rows][:, :2, :2].trace(axis1=1, axis2=2) / 2
+    t_s = model.t_s[model.key_of[list(rows)]]
+    recent = np.array(rows)[t_s >= t_s[-1] - ALIGN_SPAN_S]
+    z = model.positions.z_world_m[recent][:, :2]
+    variance = model.cov_world_m2[recent][:, :2, :2].trace(axis1=1, axis2=2) / 2
     distance = np.linalg.norm(z - z[-1], axis=1)
     need = np.maximum(ALIGN_DISTANCE_M, ALIGN_SIGMAS * np.sqrt(variance + variance[-1]))
     return bool((distance > need).any())

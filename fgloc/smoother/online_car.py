@@ -13,6 +13,7 @@ from fgloc.constraints import NON_HOLONOMIC
 from fgloc.factors.vehicle import read_calibration
 from fgloc.measurements import Array
 from fgloc.smoother.graph import Factors, GraphModel, State
+from fgloc.smoother.online_velocities import OnlineVelocities
 from fgloc.smoother.tree import Stamps, WholeTree
 from fgloc.timing import Instants
 from fgloc.verdicts import Verdict
@@ -27,7 +28,10 @@ class OnlineCar:
         received = np.empty(0, np.int64)
         if self.car.wheels is not None:
             received = self.car.wheels.received_ns[self.car.wheel_row[keys]]
-        self._arriving = arrivals(model.t_ns, keys, received)
+        self._arriving = arrivals(model.t_ns, keys, received, keys)
+        told = self.car.velocities
+        arriving = arrivals(model.t_ns, told.keys, told.received_ns, told.keys)
+        self._velocities = OnlineVelocities(model, arriving)
         self.axes: set[int] = set()
         self._speeds: set[int] = set()
         self._still: set[int] = set()
@@ -41,8 +45,9 @@ class OnlineCar:
 
         `state` and `cov` (9, 9), of pose and velocity, are predicted for keyframe j.
         """
-        factors: Factors = []
-        if self.car.stands[j] and self.car.still_fits(j, state.velocity, cov[6:, 6:]):
+        v, cov_v = state.velocity, cov[6:, 6:]
+        factors = self._velocities.take_in(j, v, cov_v, tree, aligned=aligned)
+        if self.car.stands[j] and self.car.still_fits(j, v, cov_v):
             self._still.add(j)
             factors += self.car.still_factors(j)
         if not aligned:
@@ -58,15 +63,19 @@ class OnlineCar:
         return factors
 
     def finish(self, tree: WholeTree, *, aligned: bool) -> Factors:
-        """Factors of the wheel speeds that came in after the last keyframe."""
+        """Factors of the speeds and velocities that came in after the last keyframe."""
+        end = len(self.model)
+        factors = self._velocities.take_in(end, None, None, tree, aligned=aligned)
         if not aligned:
-            return []
-        late = [k for k in self._arriving[-1] if self._fits(k, len(self.model), None, None, tree)]
-        return [factor for key in late for factor in self.car.wheel_factors(key)]
+            return factors
+        late = [k for k in self._arriving[-1] if self._fits(k, end, None, None, tree)]
+        return factors + [factor for key in late for factor in self.car.wheel_factors(key)]
 
     def factors(self, k: int) -> Factors:
         """What a graph over a window holds of keyframe k."""
-        factors = self.car.still_factors(k) if k in self._still else []
+        factors = self._velocities.factors(k)
+        if k in self._still:
+            factors += self.car.still_factors(k)
         if k in self.axes:
             factors += self.car.axis_factors(k)
         if k in self.axes and k in self._speeds:
@@ -79,7 +88,7 @@ class OnlineCar:
             if self.car.in_force[k]:
                 self._enter(k)
         for k in self._speeds & self.axes:
-            self.car.verdicts["wheel"].set(self.car.wheel_row[k], Verdict.USED)
+            self.car.verdicts[self.car.wheel_source].set(self.car.wheel_row[k], Verdict.USED)
 
     def read(self, j: int, tree: WholeTree) -> None:
         """Take the calibration out of the tree, where keyframe j has changed it."""
@@ -98,6 +107,7 @@ class OnlineCar:
 
     def forget(self, before: int) -> None:
         """Drop what lies before a keyframe."""
+        self._velocities.forget(before)
         for store in (self.axes, self._speeds, self._still):
             store -= {k for k in store if k < before}
 
@@ -112,9 +122,10 @@ class OnlineCar:
     ) -> bool:
         """Whether a wheel speed is in time and passes the gate; like a fix's, it opens again."""
         model, now_s = self.model, float(self.model.t_s[min(j, len(self.model) - 1)])
+        own = self.car.verdicts[self.car.wheel_source]
         if key != j and (key not in self.axes or not tree.holds(X(key))):
             reason = f"{now_s - model.t_s[key]:.2f} s old; its state has left the window"
-            self.car.verdicts["wheel"].set(self.car.wheel_row[key], Verdict.LATE, reason)
+            own.set(self.car.wheel_row[key], Verdict.LATE, reason)
             return False
         if key != j or state is None or cov is None:
             keys = [X(key), V(key), B(int(model.bias_of[key]))]
@@ -126,17 +137,22 @@ class OnlineCar:
             return False
         if not fits:
             reason = "no wheel speed accepted for long: the gate opened"
-            self.car.verdicts["wheel"].set(self.car.wheel_row[key], Verdict.USED, reason)
+            own.set(self.car.wheel_row[key], Verdict.USED, reason)
         self._speeds.add(key)
         self._accepted_s = float(model.t_s[key])
         return True
 
 
-def arrivals(t_ns: Instants, keys: NDArray[np.int64], received_ns: Instants) -> list[list[int]]:
-    """For each keyframe, and the end, the keyframes whose measurement came in since the last."""
+def arrivals(
+    t_ns: Instants, items: NDArray[np.int64], received_ns: Instants, keys: NDArray[np.int64]
+) -> list[list[int]]:
+    """For each keyframe, and the end, which items came in since the last, none before its own.
+
+    `keys` are the keyframes at which the items are true.
+    """
     order = np.argsort(received_ns, kind="stable")
     step = np.maximum(np.searchsorted(t_ns, received_ns), keys)
     result: list[list[int]] = [[] for _ in range(len(t_ns) + 1)]
     for i in order:
-        result[step[i]].append(int(keys[i]))
+        result[step[i]].append(int(items[i]))
     return result

@@ -19,9 +19,10 @@ _MEANING = {
     "v": ("velocity", "no IMU interval or second fix holds the speed"),
     "b": ("IMU bias", "its random walk is too small for the precision of the solver, or nothing "
           "observes it"),
-    "c": ("GNSS bias", "nothing but GNSS observes the position"),
-    "a": ("antenna position", "the fix's covariance is not usable"),
+    "c": ("slow error", "nothing but its own source observes the position"),
+    "a": ("measured point", "the measurement's covariance is not usable"),
     "l": ("lever arm", "its prior is missing"),
+    "s": ("survey", "its prior is missing"),
     "y": ("axes of the car", "position or attitude is not held by any measurement"),
     "w": ("velocity of the point that does not slide", "the velocity is not held"),
     "k": ("scale and mounting", "no constraint observes them"),
@@ -94,7 +95,11 @@ def explain_failure(err: Exception, model: Model) -> SolverError:
     symbol = gtsam.Symbol(int(found.group(1)))
     letter, index = chr(symbol.chr()), symbol.index()
     name, missing = _MEANING.get(letter, (letter, "it is not observed"))
-    j = int(np.searchsorted(model.bias_of, index)) if letter == "b" else min(index, len(model) - 1)
+    if letter == "b":
+        index = int(np.searchsorted(model.bias_of, index))
+    elif letter in "ac":
+        index = int(model.key_of[min(index, len(model.key_of) - 1)])
+    j = min(index, len(model) - 1)
     t_ns = int(model.t_ns[j])
     return SolverError(
         f"the solver failed at the {name} of keyframe {j}, t = {model.t_s[j]:.2f} s "
@@ -111,9 +116,7 @@ def singular(model: Model, j: int) -> SolverError:
     )
 
 
-def first_values(
-    model: GraphModel, guess: Guess, n: int, with_fix: Collection[int]
-) -> gtsam.Values:
+def first_values(model: GraphModel, guess: Guess, n: int, rows: Collection[int]) -> gtsam.Values:
     """GTSAM values of the first n keyframes of a guess, biases at zero; see `window_values`."""
     zero = gtsam.imuBias.ConstantBias()
     poses = (
@@ -121,18 +124,18 @@ def first_values(
         for R, p in zip(guess.R_world_veh[:n], guess.p_world_m[:n], strict=True)
     )
     states = [State(pose, v, zero) for pose, v in zip(poses, guess.v_world_mps[:n], strict=True)]
-    return window_values(model, guess.first, states, with_fix)
+    return window_values(model, guess.first, states, rows)
 
 
 def window_values(
-    model: GraphModel, first: int, states: Sequence[State], with_fix: Collection[int],
+    model: GraphModel, first: int, states: Sequence[State], rows: Collection[int],
     with_car: Collection[int] | None = None,
 ) -> gtsam.Values:  # fmt: skip
-    """GTSAM values of the keyframes from `first` on, with the variables that their fixes and the
-    vehicle's constraints add.
+    """GTSAM values of the keyframes from `first` on, with the variables that their positions and
+    the vehicle's constraints add.
 
-    `with_fix` are the keyframes whose fix is in the graph: a variable without a factor, for a fix
-    that has yet to arrive, would be in the way when it does. `with_car` are those whose constraint
+    `rows` are the positions that are in the graph: a variable without a factor, for a row that has
+    yet to arrive, would be in the way when it does. `with_car` are those whose constraint
     is; by default all that there are.
     """
     values = gtsam.Values()
@@ -140,8 +143,9 @@ def window_values(
     for j, state in enumerate(states, first):
         new_bias = j == first or bool(model.bias_of[j] != model.bias_of[j - 1])
         model.insert(values, j, state, new_bias=new_bias)
-        if j in with_fix:
-            model.insert_fix(values, j, state.pose)
         if j in with_car if with_car is not None else model.car.in_force[j]:
             model.car.insert(values, j, state.pose, state.velocity, state.bias)
+    for i in rows:
+        if first <= model.key_of[i] < first + len(states):
+            model.insert_position(values, i)
     return values

@@ -1,11 +1,14 @@
 """States of the keyframes, estimates of all epochs, and their turn to the world's tangent."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.factors import vehicle
+from fgloc.frames import pose_cov_to_world
 from fgloc.measurements import Array
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import Model
@@ -15,39 +18,58 @@ from fgloc.trajectory import Trajectory
 @dataclass(frozen=True, eq=False)
 class States:
     """Values of n keyframes: attitude (n, 3, 3), position in m and velocity in m/s (n, 3) of the
-    IMU's place, its bias (n, 6) in m/s^2 and rad/s, the GNSS bias (n, 3) in m. Of the whole drive,
-    how late the fixes are stamped, in s, and the car's calibration (3,), see `Car`."""
+    IMU's place, its bias (n, 6) in m/s^2 and rad/s, the slow errors of the sources of positions
+    that have one (n, 3 for each) in m. Of the whole drive, how late stamps are, in s, the car's
+    calibration (3,), see `Car`, how far the box's centre is from where the rig says (3,) in m, and
+    of each source what its survey is off (3,): east and north in m, yaw in rad."""
 
     R: Array
     p: Array
     v: Array
     bias: Array
-    gnss_bias: Array
+    slow: Array
     late_s: float = 0.0
     calibration: Array = field(default_factory=lambda: vehicle.STRAIGHT)
+    offset: Array = field(default_factory=lambda: np.zeros(3))
+    survey: Array = field(default_factory=lambda: np.zeros((1, 3)))
 
     def first(self, n: int) -> "States":
         """Those of the first n keyframes."""
-        own = ("R", "p", "v", "bias", "gnss_bias")
-        return replace(self, **{name: getattr(self, name)[:n] for name in own})
+        return self.take(slice(n))
+
+    def take(self, rows: Any) -> "States":
+        """Those of the keyframes that a slice, mask or index array selects."""
+        own = ("R", "p", "v", "bias", "slow")
+        return replace(self, **{name: getattr(self, name)[rows] for name in own})
 
     @classmethod
-    def of(cls, guess: Guess) -> "States":
-        """A guess, with biases of zero."""
+    def of(cls, guess: Guess, model: Model) -> "States":
+        """A guess, with errors of zero."""
         n = len(guess.p_world_m)
         return cls(guess.R_world_veh, guess.p_world_m, guess.v_world_mps, np.zeros((n, 6)),
-                   np.zeros((n, 3)))  # fmt: skip
+                   np.zeros((n, 3 * len(model.slow))),
+                   survey=np.zeros((len(model.sources), 3)))  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Robustness:
-    """What is done about what does not fit: `gated` (fixes,) are left out, and the fixes' loss
+    """What is done about what does not fit: `gated` (positions,) are left out, and the fixes' loss
     begins at a whitened error of `loss_width`, infinity being no loss. `plain` is least squares
-    for everything, vehicle constraints as well."""
+    for everything, detections and vehicle constraints as well."""
 
     gated: NDArray[np.bool_]
     loss_width: float
     plain: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class SharedSigmas:
+    """Standard deviations of what a drive shares, where it is estimated: lateness in s, the box's
+    centre (3,) in m, and of some sources, by number, the survey (3,) in m, m and rad."""
+
+    late_s: float | None = None
+    offset: Array | None = None
+    survey: Mapping[int, Array] = field(default_factory=dict)
 
 
 class StateLog:
@@ -74,14 +96,6 @@ class StateLog:
         arm = np.cross(model.epochs.rate_radps - self.gyro_bias, -model.p_veh_imu_m)
         v = self.v + np.einsum("nij,nj->ni", self.R, arm)
         return replace(of_imu.at_point(np.zeros(3)), v_world_mps=v)
-
-
-def pose_cov_to_world(R: Array, cov: Array) -> Array:
-    """(N, 6, 6) of (rotation, translation) in the vehicle frame to (position, rotation) in ENU."""
-    turn = np.zeros((len(R), 6, 6))
-    turn[:, :3, 3:] = R
-    turn[:, 3:, :3] = R
-    return turn @ cov @ turn.swapaxes(-1, -2)
 
 
 def yaw_sigma_rad(R_world_veh: Array, cov_rotation: Array) -> float:

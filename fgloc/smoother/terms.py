@@ -2,10 +2,11 @@
 
 The cost is that of the graph which `graph.py` builds for GTSAM; a test holds the two together. A
 block of unknowns belongs to each keyframe: pose (rotation, then translation, in the vehicle frame),
-velocity, IMU bias, and the GNSS bias where there is one. A bias that several keyframes share is
-kept once for each of them; the curvature sees a walk of next to nothing between the copies, the
-cost none, so that the optimum is exact. What the whole drive shares stands in the border: how late
-the fixes are stamped, and the car's calibration.
+velocity, IMU bias, and the slow error of each source of positions that has one. A bias that several
+keyframes share is kept once for each of them; the curvature sees a walk of next to nothing between
+the copies, the cost none, so that the optimum is exact. What the whole drive shares stands in the
+border: how late stamps are, the car's calibration, the centre of its box, and what each node's
+survey is off.
 """
 
 from collections.abc import Iterator
@@ -15,14 +16,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.drive import GnssBias
 from fgloc.errors import SolverError
-from fgloc.factors import gnss, imu, noise, vehicle
+from fgloc.factors import detection, gnss, imu, noise, vehicle
 from fgloc.frames import log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
 from fgloc.measurements import Array
+from fgloc.positions import DETECTIONS, GNSS
+from fgloc.smoother import velocities
 from fgloc.smoother.car import SLIP_WIDTH, STILL_WIDTH, WHEEL_WIDTH
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import (
-    LEVEL_SIGMA_RAD,
     POSITION_SIGMA_M,
     SPEED_SIGMA_MPS,
     YAW_SIGMA_RAD,
@@ -30,7 +33,7 @@ from fgloc.smoother.model import (
 )
 from fgloc.smoother.states import Robustness, States
 
-POSE, VELOCITY, BIAS, GNSS_BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15), np.arange(15, 18)
+POSE, VELOCITY, BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15)
 STATE, FULL = np.arange(9), np.arange(15)
 COPY_SHARE = 1e-5
 """Of a bias step's variance, the part that the curvature gives to each copy within an interval."""
@@ -61,14 +64,27 @@ class Terms:
         n = len(deltas.dt_s) + 1
         self.model, self.deltas, self.n, self._prior = model, deltas, n, prior
         self.bias_of = model.bias_of[:n]
-        self.width = 18 if model.has_gnss_bias else 15
-        late = 0 if model.config.clock.estimate == "none" else 1
-        self.late, self.car_at = slice(0, late), slice(late, late + 3 * model.car.acts)
-        self.shared = self.car_at.stop
-        self.fixed = np.flatnonzero(model.fix_of[:n] >= 0)
+        self.slow_at = {s: 15 + 3 * c + np.arange(3) for c, s in enumerate(model.slow)}
+        self.width = 15 + 3 * len(model.slow)
+        self.late, self.car_at, self.offset_at, self.survey_at = self._layout(model)
+        self.shared = max(self.survey_at.values(), key=_stop, default=self.offset_at).stop
+        self.rows = int(np.searchsorted(model.key_of, n))  # of the positions, they come first
+        self.key_of, self.source = model.key_of[: self.rows], model.positions.source[: self.rows]
         self._prior_R = yaw_matrix(yaw_of(prior.R_world_veh[:1]))
         self._whiten_imu = self._whitening(deltas.cov, np.arange(n - 1))
-        self._whiten_fix = self._whitening(model.cov_of_fixes(self.fixed), self.fixed)
+        self._whiten_position = self._whitening(model.cov_m2[: self.rows], self.key_of)
+
+    @staticmethod
+    def _layout(model: Model) -> tuple[slice, slice, slice, dict[int, slice]]:
+        """Where the unknowns that the drive shares stand in the border."""
+        late = slice(0, int(model.config.clock.estimate != "none"))
+        car = slice(late.stop, late.stop + 3 * model.car.acts)
+        free = any(source.point_sigma_m for source in model.sources)
+        offset = slice(car.stop, car.stop + 3 * free)
+        surveyed = [s for s, source in enumerate(model.sources) if source.surveyed]
+        survey = {s: slice(offset.stop + 3 * i, offset.stop + 3 * i + 3)
+                  for i, s in enumerate(surveyed)}  # fmt: skip
+        return late, car, offset, survey
 
     def _whitening(self, cov: Array, keys: NDArray[np.int64]) -> Array:
         """W (m, r, r) with W cov W' = I; SolverError names the keyframe where there is none."""
@@ -85,14 +101,16 @@ class Terms:
     @property
     def factors(self) -> int:
         """How many measurements, steps and priors there are, a bias's copies not counted."""
-        chains = 2 if self.width > 15 else 1
+        chains = 1 + len(self.slow_at)
         steps = (self.n - 1) * chains + int(self.bias_of[-1])
         car = self.model.car
         held = (car.wheel_row[: self.n] >= 0).sum() + 2 * car.stands[: self.n].sum()
         if car.config.non_holonomic:
             held += car.in_force[: self.n].sum()
-        shared = (self.late.stop > 0) + bool(car.acts)
-        return int(3 + chains + steps + shared + held) + len(self.fixed)
+        shared = (self.late.stop > 0) + bool(car.acts) + len(self.survey_at)
+        shared += self.offset_at.start < self.offset_at.stop
+        held += (car.velocities.row[: self.n] >= 0).sum()
+        return int(3 + chains + steps + shared + held) + self.rows
 
     def at(self, states: States, robust: Robustness, first: int, stop: int) -> Iterator[Term]:
         """The factors that begin at keyframes first..stop - 1."""
@@ -102,37 +120,51 @@ class Terms:
         if intervals.start < intervals.stop:
             yield self._motion(states, intervals)
             yield from self._bias_steps(states, intervals)
-        within = slice(*np.searchsorted(self.fixed, [first, stop]))
+        within = slice(*np.searchsorted(self.key_of, [first, stop]))
         kept = np.arange(within.start, within.stop)[~robust.gated[within]]
-        if len(kept):
-            yield self._fixes(states, kept, robust.loss_width)
+        for s in np.unique(self.source[kept]).tolist():
+            yield self._positions(states, s, kept[self.source[kept] == s], robust.loss_width)
         if self.model.car.acts or self.model.car.stands.any():
             yield from self._constraints(states, first, stop)
+        told = self.model.car.velocities
+        if len(keys := told.keys[slice(*np.searchsorted(told.keys, [first, min(stop, self.n)]))]):
+            eye = np.eye(3) / told.sigma_mps[keys, None, None]
+            error = told.whitened(states.v, keys)
+            yield Term(keys, VELOCITY, error, eye, "huber", velocities.WIDTH)
 
     def _priors(self, states: States) -> Iterator[Term]:
         """What is known of keyframe 0 before any measurement."""
-        first, c = np.array([0]), self.model.config.gnss
+        first = np.array([0])
         R, p = states.R[:1], states.p[:1]
         turn = log_so3(self._prior_R.swapaxes(-1, -2) @ R)
-        tilt = np.array([LEVEL_SIGMA_RAD, LEVEL_SIGMA_RAD, YAW_SIGMA_RAD])
+        tilt = np.array([self.model.level_sigma_rad] * 2 + [YAW_SIGMA_RAD])
         yield Term(first, POSE[:3], turn / tilt, right_jacobian_inverse_so3(turn) / tilt[:, None])
-        yield Term(first, POSE[3:], (p - self.model.first_fix_m) / POSITION_SIGMA_M,
+        yield Term(first, POSE[3:], (p - self.model.first_place_m) / POSITION_SIGMA_M,
                    R / POSITION_SIGMA_M)  # fmt: skip
         yield from self._shared_priors(states)
         for at, value, sigma in (
             (VELOCITY, states.v[:1], [SPEED_SIGMA_MPS] * 3),
             (BIAS, states.bias[:1], self.model.bias_sigmas),
-            (GNSS_BIAS, states.gnss_bias[:1], [c.bias_sigma_m] * 3),
+            *(
+                (at, states.slow[:1, at - 15], [self._slow(s).sigma_m] * 3)
+                for s, at in self.slow_at.items()
+            ),
         ):
-            if at[-1] < self.width:
-                yield Term(first, at, value / sigma, np.diag(1 / np.array(sigma))[None])
+            scale = 1 / np.array(sigma, float)
+            yield Term(first, at, value * scale, np.diag(scale)[None])
 
     def _shared_priors(self, states: States) -> Iterator[Term]:
         """What is known of the unknowns of the whole drive before any measurement."""
         late = np.array([self.model.config.clock.sigma_s])
+        loose = max(source.point_sigma_m for source in self.model.sources)
         for at, value, sigma in (
             (self.late, np.array([states.late_s + self.model.shifted_s]), late),
             (self.car_at, states.calibration - vehicle.STRAIGHT, self.model.car.calibration_sigmas),
+            (self.offset_at, states.offset, np.full(3, loose)),
+            *(
+                (at, states.survey[s], self.model.sources[s].survey_sigmas)
+                for s, at in self.survey_at.items()
+            ),
         ):
             if at.start < at.stop:
                 J = self._border(1, at, np.diag(1 / sigma)[None])
@@ -152,20 +184,26 @@ class Terms:
             (states.R[following], states.p[following], states.v[following]), states.bias[rows],
             self.model.gravity_mps2,
         )  # fmt: skip
-        J = np.concatenate([told.by_pose_i, told.by_velocity_i, told.by_bias, told.by_pose_j,
-                            told.by_velocity_j], -1)  # fmt: skip
         at = np.concatenate([STATE, BIAS, self.width + STATE])
-        return Term(np.arange(rows.start, rows.stop), at, _whitened(W, told.error), W @ J)
+        keys = np.arange(rows.start, rows.stop)
+        return Term(keys, at, _whitened(W, told.error), W @ told.jacobian)
 
     def _bias_steps(self, states: States, rows: slice) -> Iterator[Term]:
-        """The walk of the IMU's bias from keyframe to keyframe, and that of GNSS's bias."""
+        """The walk of the IMU's bias from keyframe to keyframe, and the sources' slow errors."""
         following = slice(rows.start + 1, rows.stop + 1)
         change = states.bias[following] - states.bias[rows]
         yield self._step_term(rows, BIAS, change, np.ones(len(change)), self._bias_sigmas[rows])
-        if self.width > 15:
-            phi, sigma = (column[rows] for column in self._gnss_walk)
-            change = states.gnss_bias[following] - phi[:, None] * states.gnss_bias[rows]
-            yield self._step_term(rows, GNSS_BIAS, change, phi, np.repeat(sigma[:, None], 3, 1))
+        for s, at in self.slow_at.items():
+            phi, sigma = (column[rows] for column in self._slow_walks[s])
+            now, before = states.slow[following][:, at - 15], states.slow[rows][:, at - 15]
+            sigmas = np.repeat(sigma[:, None], 3, 1)
+            yield self._step_term(rows, at, now - phi[:, None] * before, phi, sigmas)
+
+    def _slow(self, s: int) -> GnssBias:
+        """The slow error of a source that has one."""
+        bias = self.model.sources[s].bias
+        assert bias is not None
+        return bias
 
     def _step_term(
         self, rows: slice, at: NDArray[np.int64], change: Array, phi: Array, sigma: Array
@@ -177,21 +215,32 @@ class Terms:
         blocks = np.arange(rows.start, rows.stop)
         return Term(blocks, np.append(at, self.width + at), change / sigma, J)
 
-    def _fixes(self, states: States, kept: NDArray[np.int64], width: float) -> Term:
-        """Those fixes, counted among the chain's own."""
-        W, keys = self._whiten_fix[kept], self.fixed[kept]
-        told = fix_residual(self.model, states, keys)
+    def _positions(self, states: States, s: int, rows: NDArray[np.int64], width: float) -> Term:
+        """Those rows of the positions, all of source s; `width` is the fixes' loss's."""
+        W, keys = self._whiten_position[rows], self.key_of[rows]
+        told, R, source = position_residual(self.model, states, rows, s), states.R[keys], (
+            self.model.sources[s])  # fmt: skip
         parts, at, error, border = [told.by_pose], POSE, told.error, []
-        if self.late.stop:
-            late = late_fix_residual(self.model, states, keys, told)
+        if late_source(self.model, s):
+            late = late_residual(self.model, states, rows, s, told)
             parts, error = [late.by_pose, late.by_velocity, late.by_gyro_bias], late.error
             at = np.concatenate([POSE, VELOCITY, BIAS[3:]])
-            border = [self._border(len(keys), self.late, late.by_late)]
-        if self.width > 15:
-            parts, at = [*parts, np.broadcast_to(np.eye(3), W.shape)], np.append(at, GNSS_BIAS)
-        J = W @ np.concatenate([*parts, *border], -1)
-        loss = "none" if self.model.has_gnss_bias else self.model.config.gnss.loss
-        return Term(keys, at, _whitened(W, error), J, loss, width)
+            border = [(self.late, late.by_late)]
+        if s in self.slow_at:
+            parts, at = (
+                [*parts, np.broadcast_to(np.eye(3), W.shape)],
+                np.append(at, self.slow_at[s]),
+            )
+        if source.point_sigma_m:
+            border.append((self.offset_at, R))
+        if s in self.survey_at:
+            border.append((self.survey_at[s], -by_survey(self.model, rows, s)))
+        if border:
+            shared = [self._border(len(rows), where, by) for where, by in border]
+            parts.append(np.sum(shared, axis=0))
+        J = W @ np.concatenate(parts, -1)
+        width = width if source.table == GNSS else source.settings.loss_width
+        return Term(keys, at, _whitened(W, error), J, source.settings.loss, width)
 
     def _constraints(self, states: States, first: int, stop: int) -> Iterator[Term]:
         """What the vehicle's constraints say at keyframes first..stop - 1."""
@@ -239,30 +288,53 @@ class Terms:
         return np.where(begins[:, None], walk, np.sqrt(COPY_SHARE) * walk)
 
     @cached_property
-    def _gnss_walk(self) -> tuple[Array, Array]:
-        """phi and sigma in m (n - 1,) of the GNSS bias over the intervals."""
-        c = self.model.config.gnss
-        pairs = [gnss.bias_transition(dt, c.bias_sigma_m, c.bias_tau_s)
-                 for dt in np.diff(self.model.t_s[: self.n]).tolist()]  # fmt: skip
-        phi, sigma = np.array(pairs).T
-        return phi, sigma
+    def _slow_walks(self) -> dict[int, tuple[Array, Array]]:
+        """phi and sigma in m (n - 1,) of each source's slow error over the intervals."""
+        dt_s = np.diff(self.model.t_s[: self.n])
+        return {s: gnss.bias_transition(dt_s, self._slow(s).sigma_m, self._slow(s).tau_s)
+                for s in self.slow_at}  # fmt: skip
 
 
-def fix_residual(model: Model, states: States, keys: NDArray[np.int64]) -> gnss.GnssResidual:
-    """Of the fixes at some keyframes, as if they were on time."""
-    z = model.fixes.p_world_ant_m[model.fix_of[keys]]
-    p, R, bias = states.p[keys], states.R[keys], states.gnss_bias[keys]
-    return gnss.residual(p, R, z, model.lever, bias)
+def position_residual(
+    model: Model, states: States, rows: NDArray[np.int64], s: int
+) -> gnss.GnssResidual:
+    """Of some positions, all of source s, as if they were on time."""
+    keys, z = model.key_of[rows], model.positions.z_world_m[rows]
+    lever = model.levers[s]
+    bias = np.zeros(3)
+    if s in model.slow:
+        bias = states.slow[keys][:, 3 * model.slow.index(s) :][:, :3]
+    if model.sources[s].point_sigma_m:
+        lever = lever + states.offset
+    if model.sources[s].surveyed:
+        z = z + by_survey(model, rows, s) @ states.survey[s]
+    return gnss.residual(states.p[keys], states.R[keys], z, lever, bias)
 
 
-def late_fix_residual(
-    model: Model, states: States, keys: NDArray[np.int64], told: gnss.GnssResidual
+def by_survey(model: Model, rows: NDArray[np.int64], s: int) -> Array:
+    """How detections of node s move with what its survey is off (n, 3, 3)."""
+    return detection.by_survey(model.positions.z_world_m[rows], model.sources[s].p_world_m)
+
+
+def late_source(model: Model, s: int) -> bool:
+    """Whether it is this source's lateness that is estimated; the IMU's shows in all sources."""
+    late = {"gnss": GNSS, "nodes": DETECTIONS, "imu": model.sources[s].table, "none": ""}
+    return model.sources[s].table == late[model.config.clock.estimate]
+
+
+def late_residual(
+    model: Model, states: States, rows: NDArray[np.int64], s: int, told: gnss.GnssResidual
 ) -> gnss.LateResidual:
-    """What is `told` of the same fixes, as late as the states have them."""
+    """What is `told` of the same positions, as late as the states have them."""
+    keys = model.key_of[rows]
     rate = model.epochs.rate_radps[model.epoch_of[keys]] - states.bias[keys, 3:]
-    R, v = states.R[keys], states.v[keys]
-    return gnss.late_residual(told, R, v, rate, model.lever, states.late_s)
+    lever = model.levers[s] + (states.offset if model.sources[s].point_sigma_m else 0.0)
+    return gnss.late_residual(told, states.R[keys], states.v[keys], rate, lever, states.late_s)
 
 
 def _whitened(W: Array, error: Array) -> Array:
     return np.einsum("nij,nj->ni", W, error)
+
+
+def _stop(part: slice) -> int:
+    return int(part.stop)

@@ -40,7 +40,16 @@ def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2
         for letter in "xy":
             sizes.insert((letter, np.repeat(thresholds, 3)))
         sizes.insert(("k", np.repeat([OTHER_THRESHOLD, MOUNTING_THRESHOLD], 3)))
-        for letter, size in (("v", 3), ("b", 6), ("a", 3), ("c", 3), ("l", 3), ("w", 3), ("z", 3)):
+        for letter, size in (
+            ("v", 3),
+            ("b", 6),
+            ("a", 3),
+            ("c", 3),
+            ("l", 3),
+            ("w", 3),
+            ("z", 3),
+            ("s", 3),
+        ):
             sizes.insert((letter, np.full(size, OTHER_THRESHOLD)))
         params.setRelinearizeThreshold(sizes)
         params.enablePartialRelinearizationCheck = True
@@ -88,6 +97,10 @@ class WholeTree:
     def pose(self, key: int) -> gtsam.Pose3:
         """The present value of a pose."""
         return self._solver.calculateEstimatePose3(key)
+
+    def vector(self, key: int) -> Array:
+        """The present value of a vector."""
+        return self._solver.calculateEstimateVector(key)
 
     def bias(self, key: int) -> gtsam.imuBias.ConstantBias:
         """The present value of a bias, or of what is kept as one."""

@@ -1,17 +1,18 @@
 """The whole drive solved by GTSAM: for graphs that are no chain, and to hold the chain against."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, V, X
+from gtsam.symbol_shorthand import B, C, L, S, V, X
 
 from fgloc.measurements import Array
 from fgloc.smoother.graph import Factors, GraphModel, State
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import YAW_SIGMA_RAD
 from fgloc.smoother.solve import covariances, optimize, window_values
-from fgloc.smoother.states import Robustness, States
+from fgloc.smoother.states import Robustness, SharedSigmas, States
+from fgloc.smoother.terms import by_survey
 from fgloc.smoother.tree import as_graph
 
 
@@ -25,12 +26,12 @@ class Whole:
         self.model, self.prior = model, prior
         self.groups = list(groups) or _groups(model, prior)
         self.n = len(self.groups)
-        self.fixed = np.flatnonzero(model.fix_of[: self.n] >= 0)
+        self.rows = int(np.searchsorted(model.key_of, self.n))
 
     @property
     def factors(self) -> int:
-        """How many factors there are, with a measurement for every fix."""
-        return sum(map(len, self.groups)) + len(self.fixed)
+        """How many factors there are, with a measurement for every position."""
+        return sum(map(len, self.groups)) + self.rows
 
     def first(self, n: int) -> "Whole":
         """The same for the first n keyframes alone."""
@@ -44,69 +45,108 @@ class Whole:
         Raises SolverError that names the state, its time and what is missing.
         """
         graph = self._graph(robust)
-        values, iterations = optimize(graph, self._values(states), self.model)
+        values, iterations = optimize(graph, self._values(states, robust), self.model)
         self.converged = iterations < self.model.config.solver.max_iterations
-        return self._states(values), float(graph.error(values)), iterations
+        return self._states(values, robust, states), float(graph.error(values)), iterations
 
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
-        """Of the poses (n, 6, 6), and of what the fixes measure as predicted (fixes, 3, 3)."""
-        joint = covariances(self._graph(robust), self._values(states), self.model)
+        """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
+        joint = covariances(self._graph(robust), self._values(states, robust), self.model)
         cov = np.stack([joint([X(j)]) for j in range(self.n)])
-        H, both = states.R[self.fixed] @ self.model.antenna_by_pose, cov[self.fixed]
-        if self.model.has_gnss_bias:
-            H = np.concatenate([H, np.broadcast_to(np.eye(3), (len(H), 3, 3))], -1)
-            # GTSAM orders a joint covariance as it is asked to.
-            both = np.stack([joint([X(j), C(j)]) for j in self.fixed.tolist()])
-        return cov, H @ both @ H.swapaxes(-1, -2)
+        predicted = np.empty((self.rows, 3, 3))
+        for i in range(self.rows):
+            predicted[i] = self._predicted(i, states, cov, joint, in_graph=not robust.gated[i])
+        return cov, predicted
 
-    def late_sigma_s(self, states: States, robust: Robustness) -> float | None:
-        """None: GTSAM's graph does not estimate how late the fixes are."""
-        return None
+    def _predicted(
+        self, i: int, states: States, cov: Array, joint: Callable[[list[int]], Array], *,
+        in_graph: bool,
+    ) -> Array:  # fmt: skip
+        """Covariance (3, 3) of what row i measures; of a slow error that is not in the graph what
+        the source states."""
+        model, j = self.model, int(self.model.key_of[i])
+        s = int(model.positions.source[i])
+        source, R = model.sources[s], states.R[j]
+        keys, parts = [X(j)], [R @ model.point_by_pose[s]]
+        if source.bias is not None and in_graph:
+            keys, parts = [*keys, C(i)], [*parts, np.eye(3)]
+        if source.point_sigma_m:
+            keys, parts = [*keys, L(1)], [*parts, R]
+        if source.surveyed:
+            J = by_survey(model, np.array([i]), s)[0]
+            keys, parts = [*keys, S(s)], [*parts, -J]
+        H = np.hstack(parts)
+        # GTSAM orders a joint covariance as it is asked to.
+        P = H @ (joint(keys) if len(keys) > 1 else cov[j]) @ H.T
+        alone = 0.0 if source.bias is None or in_graph else source.bias.sigma_m**2
+        return P + alone * np.eye(3)
+
+    def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
+        """None: they are read from the chain only."""
+        return SharedSigmas()
 
     def _graph(self, robust: Robustness) -> gtsam.NonlinearFactorGraph:
         graph = as_graph(factor for group in self.groups for factor in group)
-        for j in self.fixed[~robust.gated].tolist():
-            for factor in self.model.fix_factors(j, robust.loss_width):
+        before: dict[int, int] = {}
+        for i in self._kept(robust):
+            s = int(self.model.positions.source[i])
+            factors = self.model.slow_factors(i, before.get(s))
+            factors += self.model.position_factors(i, robust.loss_width)
+            for factor in factors:
                 graph.add(factor)
+            before[s] = i
         return graph
 
-    def _values(self, states: States) -> gtsam.Values:
-        self.model.car.found = states.calibration
+    def _kept(self, robust: Robustness) -> list[int]:
+        """Rows of the positions that are in the graph."""
+        kept: list[int] = np.flatnonzero(~robust.gated[: self.rows]).tolist()
+        return kept
+
+    def _values(self, states: States, robust: Robustness) -> gtsam.Values:
+        model = self.model
+        model.car.found = states.calibration
         poses = (gtsam.Pose3(gtsam.Rot3(R), p) for R, p in zip(states.R, states.p, strict=True))
         plain = [
             State(pose, v, gtsam.imuBias.ConstantBias(b[:3], b[3:]))
             for pose, v, b in zip(poses, states.v, states.bias, strict=True)
         ]
-        values = window_values(self.model, 0, plain[: self.n], set(self.fixed.tolist()))
-        if self.model.has_gnss_bias:
-            for j in self.fixed.tolist():
-                values.update(C(j), states.gnss_bias[j])
+        values = window_values(model, 0, plain[: self.n], ())
+        for i in self._kept(robust):
+            s, slow = int(model.positions.source[i]), np.zeros(3)
+            if s in model.slow:
+                slow = states.slow[int(model.key_of[i]), 3 * model.slow.index(s) :][:3]
+            model.insert_position(values, i, slow)
         return values
 
-    def _states(self, values: gtsam.Values) -> States:
+    def _states(self, values: gtsam.Values, robust: Robustness, before: States) -> States:
+        model = self.model
         poses = [values.atPose3(X(j)) for j in range(self.n)]
-        biases = [values.atConstantBias(B(m)).vector() for m in self.model.bias_of[: self.n]]
-        gnss_bias = np.zeros((self.n, 3))
-        if self.model.has_gnss_bias:
-            gnss_bias[self.fixed] = [values.atVector(C(j)) for j in self.fixed.tolist()]
+        biases = [values.atConstantBias(B(m)).vector() for m in model.bias_of[: self.n]]
+        slow, survey = before.slow.copy(), before.survey.copy()
+        for i in self._kept(robust):
+            if (s := int(model.positions.source[i])) in model.slow:
+                at = 3 * model.slow.index(s)
+                slow[int(model.key_of[i]), at : at + 3] = values.atVector(C(i))
+        for s, source in enumerate(model.sources):
+            if source.surveyed:
+                survey[s] = values.atVector(S(s))
+        offset = np.zeros(3)
+        if any(source.point_sigma_m for source in model.sources):
+            offset = values.atPoint3(L(1)) - model.levers[-1]
         return States(
             np.stack([pose.rotation().matrix() for pose in poses]),
             np.stack([pose.translation() for pose in poses]),
-            np.stack([values.atVector(V(j)) for j in range(self.n)]), np.stack(biases), gnss_bias,
-            calibration=self.model.car.calibration(values),
+            np.stack([values.atVector(V(j)) for j in range(self.n)]), np.stack(biases), slow,
+            calibration=model.car.calibration(values), offset=offset, survey=survey,
         )  # fmt: skip
 
 
 def _groups(model: GraphModel, prior: Guess) -> list[Factors]:
-    """The factors of each keyframe, all but the fixes'."""
+    """The factors of each keyframe, all but the positions'."""
     pose = gtsam.Pose3(gtsam.Rot3(prior.R_world_veh[0]), prior.p_world_m[0])
     state = State(pose, prior.v_world_mps[0], gtsam.imuBias.ConstantBias())
     groups = [model.prior_factors(0, state, YAW_SIGMA_RAD)]
     groups += [model.motion_factors(j, model.interval(j).pim) for j in range(1, len(model))]
     for j, group in enumerate(groups):
         group += model.car.factors(j)
-    before: int | None = None
-    for j in np.flatnonzero(model.fix_of >= 0).tolist():
-        groups[j] += model.gnss_bias_factors(j, before)
-        before = j
     return groups

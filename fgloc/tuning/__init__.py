@@ -22,6 +22,7 @@ from fgloc.drive import Drive
 from fgloc.errors import InputError
 from fgloc.evaluation.consistency import anees_band, effective_samples
 from fgloc.factors import noise
+from fgloc.positions import DETECTIONS, gnss_bias
 from fgloc.tuning.bench import Bench, Predictions
 from fgloc.tuning.result import Consistency, TunedSetting, Tuning
 from fgloc.tuning.rounds import make_rounds
@@ -39,7 +40,8 @@ def tune(
     outage_s: float = OUTAGE_S,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Tuning:
-    """The noise under which withheld fixes of a drive are predicted best.
+    """The noise under which withheld fixes of a drive are predicted best; what nodes see is left
+    out of it.
 
     outage_s  the longest outage, in s, for which the noise is to hold; less on a short drive
     tell      is given a line at every step
@@ -49,7 +51,11 @@ def tune(
     """
     if not 0 < outage_s < np.inf:
         raise InputError(f"outage_s = {outage_s}: expected seconds above 0")
-    blind = replace(drive, truth=None)
+    tables = {name: table for name, table in drive.tables.items() if name != DETECTIONS}
+    blind = replace(drive, truth=None, tables=tables)
+    if (slow := gnss_bias(drive, config.gnss)) is not None:
+        named = {"bias_sigma_m": slow.sigma_m, "bias_tau_s": slow.tau_s}
+        config = config.model_copy(update={"gnss": config.gnss.model_copy(update=named)})
     bench = Bench(blind, config)
     rounds = make_rounds(bench.fix_t_s, outage_s, drive.name)
     search = Search(bench, config, rounds.seen, tell)

@@ -7,17 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
-from fgloc.drive import Drive, ImuNoise
+from fgloc.drive import Drive, ImuNoise, Noise
+from fgloc.errors import DriveError
 from fgloc.factors.imu import ImuDeltas
 from fgloc.measurements import Array
 from fgloc.smoother import clocks
 from fgloc.smoother.band import BorderedFactor, NotPositiveError
-from fgloc.smoother.batch import fix_errors, run_batch
-from fgloc.smoother.chain import Chain
+from fgloc.smoother.batch import run_batch
+from fgloc.smoother.chain import Chain, position_errors
 from fgloc.smoother.guess import guess, gyro_yaw
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import Robustness, States
-from fgloc.smoother.terms import GNSS_BIAS, POSE
+from fgloc.smoother.terms import POSE
 from fgloc.sync import plan
 from fgloc.tuning.rounds import Round
 from fgloc.verdicts import Verdict
@@ -65,7 +66,7 @@ class Motion:
         self._by_accel = _preintegrated(model, {GYRO: NOTHING}).cov - self._deltas.cov
         self._by_gyro = _preintegrated(model, {ACCEL: NOTHING}).cov - self._deltas.cov
 
-    def under(self, noise: ImuNoise) -> ImuDeltas:
+    def under(self, noise: Noise) -> ImuDeltas:
         """What the IMU tells with some noise."""
         accel, gyro = (
             (getattr(noise, key) / getattr(self._noise, key)) ** 2 for key in (ACCEL, GYRO)
@@ -92,9 +93,13 @@ class Bench:
         self.drive = clocks.on_time(drive, config)
         self.plan = plan(self.drive, config)
         model = Model(self.drive, self.plan, plain(config))
+        if not isinstance(model.noise, ImuNoise):
+            raise DriveError(
+                f"drive {drive.name!r}: its states are carried by {self.plan.motion.kind}, and "
+                "tuning finds the noise of an IMU"
+            )
         self.noise = model.noise
-        self.with_fix = model.fix_of >= 0
-        self.fix_t_s = model.t_s[self.with_fix]
+        self.fix_t_s = model.t_s[model.key_of]
         self.outliers = np.zeros(len(self.fix_t_s), bool)
         self._guess = guess(model, 0, len(model) - 1, gyro_yaw(model))
         self._motion = Motion(model)
@@ -106,7 +111,7 @@ class Bench:
         planned = plan(self.drive, config)
         model = Model(self.drive, planned, config)
         run_batch(model)
-        rows = model.fix_of[self.with_fix]
+        rows = model.positions.row
         self.outliers = planned.verdicts["gnss"].is_(Verdict.GATED)[rows]
 
     def settle(self, config: SmoothConfig, rounds: Sequence[Round]) -> Predictions:
@@ -131,7 +136,7 @@ class Bench:
         """States of a round, and the poses' covariances, with those of the GNSS bias (n, q, q)."""
         robust = Robustness(one.withheld | self.outliers, np.inf)
         states = self._states.get(id(one)) or self._first(chain)
-        keep = np.append(POSE, GNSS_BIAS) if chain.model.has_gnss_bias else POSE
+        keep = np.concatenate([POSE, *chain.slow_at.values()])
         try:
             states, factor = _newton(chain, states, robust, most)
         except NotPositiveError:
@@ -144,8 +149,8 @@ class Bench:
         if self._start is None:
             run, at = run_batch(chain.model), chain.model.epoch_of
             log, zero = run.log, np.zeros((len(at), 3))
-            bias = np.hstack([zero, log.gyro_bias[at]])
-            self._start = States(log.R[at], log.p[at], log.v[at], bias, zero, run.late_s)
+            bias, slow = np.hstack([zero, log.gyro_bias[at]]), np.zeros((len(at), chain.width - 15))
+            self._start = States(log.R[at], log.p[at], log.v[at], bias, slow, run.states.late_s)
         return self._start
 
     def _gathered(
@@ -172,7 +177,7 @@ def _newton(
     """States after some steps, and the factor of the last one; NotPositiveError as it comes."""
     while True:
         _, band = chain.linearize(states, robust, "weights")
-        factor, most = band.factor(often=True), most - 1
+        factor, most = band.factor(), most - 1
         step = factor.solve(band.gradient)
         states = chain.moved(states, step)
         if most == 0 or step.dot(band.gradient) / 2 <= ENOUGH:
@@ -184,10 +189,14 @@ def _compared(
 ) -> tuple[Array, Array, Array]:
     """Errors (k, 3), covariances (k, 3, 3) and the state's share in them (k,) of some fixes as
     predicted."""
-    model, at = chain.model, chain.fixed[fixes]
-    by_pose = states.R[at] @ model.antenna_by_pose
+    model, at = chain.model, chain.key_of[fixes]
+    by_pose = states.R[at] @ model.point_by_pose[0]
     by_bias = np.broadcast_to(np.eye(3), (len(at), 3, 3))
     H = np.concatenate([by_pose, by_bias], -1)[..., : cov.shape[-1]]
     P = H @ cov[at] @ H.swapaxes(-1, -2)
-    S = P + model.cov_of_fixes(at)
-    return fix_errors(model, states, at), S, np.trace(np.linalg.solve(S, P), axis1=1, axis2=2) / 3
+    S = P + model.cov_m2[fixes]
+    return (
+        position_errors(model, states, chain.rows)[fixes],
+        S,
+        np.trace(np.linalg.solve(S, P), axis1=1, axis2=2) / 3,
+    )

@@ -66,7 +66,7 @@ class Search:
         self, bench: Bench, config: SmoothConfig, rounds: tuple[Round, ...], tell: Tell
     ) -> None:
         self.bench, self.config, self.rounds, self.tell = bench, config, rounds, tell
-        self.keys = NOISE + SLOW_ERRORS if config.gnss.bias_sigma_m > 0 else NOISE
+        self.keys = NOISE + SLOW_ERRORS if config.gnss.bias_sigma_m else NOISE
         self.start = np.array([_value(config, bench.noise, key) for key in self.keys])
         self.status: list[Status] = ["found"] * len(self.keys)
         self.sigma = np.full(len(self.keys), np.nan)

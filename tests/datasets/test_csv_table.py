@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fgloc.datasets import csv_table
 from fgloc.datasets.columns import Group, Layout
 from fgloc.datasets.csv_table import format_csv, read_csv, write_csv
 from fgloc.datasets.parquet_table import read_table, write_table
@@ -95,6 +96,35 @@ def test_spreadsheet_habits_are_taken(csv):
 
 def test_a_last_line_without_newline_is_taken_when_whole(csv):
     assert read_csv(csv(HEADER + "1,2,3\n4,5,6"), LAYOUT)["north_m"].tolist() == [3.0, 6.0]
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 64, 1 << 20])
+@pytest.mark.parametrize("rows", [1, 3, 50])
+@pytest.mark.parametrize("end", ["", "\n", "\r\n"])
+def test_it_does_not_matter_in_what_portions_a_file_is_parsed(csv, monkeypatch, at_once, rows, end):
+    monkeypatch.setattr(csv_table, "_AT_ONCE", at_once)
+    monkeypatch.setattr(csv_table, "_parse_loosely", None)
+    lines = [f"{10**18 + k},{k},{-k / 7!r}" for k in range(rows)]
+    table = read_csv(csv(HEADER + (end or "\n").join(lines) + end), LAYOUT)
+    assert table["t_ns"].tolist() == [10**18 + k for k in range(rows)]
+    assert table["east_m"].tolist() == [float(k) for k in range(rows)]
+    assert table["north_m"].tolist() == [-k / 7 for k in range(rows)]
+
+
+@pytest.mark.parametrize("cell", ["+1.5", ".5", "5.", "007", "1e400", "inf"])
+def test_numbers_that_json_does_not_know_are_read_by_numpy(csv, cell):
+    table = csv(HEADER + f"1,{cell},3\n4,5,6\n")
+    if np.isfinite(float(cell)):
+        assert read_csv(table, LAYOUT)["east_m"].tolist() == [float(cell), 5.0]
+    else:
+        assert fault(table).startswith("table.csv:2: east_m is inf")
+
+
+@pytest.mark.parametrize("cell", ["true", "null", "[1]", '"1"', "{}", "1 2", "-", "NaN1"])
+def test_what_json_takes_for_more_than_a_number_is_refused(csv, cell):
+    assert fault(csv(HEADER + f"1,2,3\n4,{cell},6\n")) == (
+        f"table.csv:3: east_m = {cell!r} is not a number"
+    )
 
 
 def test_an_empty_cell_reads_as_nan_where_a_value_may_be_absent(csv):

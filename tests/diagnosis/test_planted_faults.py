@@ -104,6 +104,13 @@ def test_a_clean_drive_without_truth_or_turns_has_no_fault():
     assert not worse_than_remark(short)
 
 
+def test_objects_of_one_frame_and_a_stated_bias_of_the_fixes_are_no_fault():
+    drive = fgloc.make("lee2021/mcity", seed=1)
+    assert not worse_than_remark(drive)
+    unstated = dataclasses.replace(drive, rig=dataclasses.replace(drive.rig, gnss_bias=None))
+    assert [one.check for one in worse_than_remark(unstated)] == ["truth-offset"]
+
+
 def test_a_stray_fix_is_one_finding():
     """It does not bend the motion by which all else is judged."""
     findings = worse_than_remark(FAULTS["a stray fix"].plant(rtk_part()))

@@ -3,11 +3,11 @@
 import gtsam
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fgloc.factors import imu
-from fgloc.factors.preintegration import preintegrate
+from fgloc.factors.preintegration import join, preintegrate
 
 GRAVITY = 9.8
 ACCEL_NOISE, GYRO_NOISE = 0.02, 0.003
@@ -25,10 +25,10 @@ def by_gtsam(accel, gyro, dt_s, accel_noise=ACCEL_NOISE, gyro_noise=GYRO_NOISE):
     return imu.table([imu.snapshot(pim)]).take(0)
 
 
-def assert_same(ours, theirs):
+def assert_same(ours, theirs, atol=1e-9):
     for name, column, expected in zip(ours._fields, ours, theirs, strict=True):
         scale = np.abs(expected).max() + 1e-30
-        np.testing.assert_allclose(column / scale, expected / scale, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(column / scale, expected / scale, atol=atol, err_msg=name)
 
 
 @pytest.mark.parametrize("turn_radps", [1e-9, 0.1, 1.0, 6.0])
@@ -71,6 +71,7 @@ def test_an_interval_without_samples_is_no_motion():
     assert not any(column.any() for column in ours)
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=30), st.integers(1, 200))
 def test_portions_leave_nothing_out(lengths, at_once):
     """However the intervals are cut into portions, the lengths add up and the rows agree."""
@@ -87,3 +88,35 @@ def test_portions_leave_nothing_out(lengths, at_once):
     np.testing.assert_allclose(whole.dt_s.sum(), measured[2].sum())
     for one, other in zip(cut, whole, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_noise_that_is_not_alike_on_all_axes_is_that_of_gtsam():
+    accel_noise, gyro_noise = np.array([1.5, 0.7, 0.1]), np.array([0.01, 0.02, 0.3])
+    measured = samples(150)
+    first, stop = np.array([0, 40]), np.array([[60, 150]])
+    ours = preintegrate(*measured, first, stop, np.tile(accel_noise, (2, 1)),
+                        np.tile(gyro_noise, (2, 1)))  # fmt: skip
+    for n, (a, b) in enumerate(zip(first, stop[0], strict=True)):
+        theirs = by_gtsam(*(column[a:b] for column in measured), accel_noise, gyro_noise)
+        assert_same(ours.take((0, n)), theirs)
+
+
+def test_axes_that_are_alike_may_be_told_one_by_one():
+    measured, first, stop = samples(60), np.array([0]), np.array([[60]])
+    one = preintegrate(*measured, first, stop, 0.2, 0.03)
+    each = preintegrate(*measured, first, stop, np.full((1, 3), 0.2), np.full((1, 3), 0.03))
+    np.testing.assert_allclose(each.cov, one.cov, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("turn_radps", [0.01, 0.1, 1.0])
+def test_two_intervals_joined_are_the_whole(turn_radps):
+    """To second order in a sample's turn, which the sum of the whole leaves out along its way."""
+    measured = samples(120, turn_radps=turn_radps)
+    first, middle, stop = np.array([0, 30]), np.array([50, 31]), np.array([90, 120])
+    noise = ACCEL_NOISE, GYRO_NOISE
+    parts = (
+        preintegrate(*measured, a, b[None], *noise).take(0)
+        for a, b in ((first, middle), (middle, stop))
+    )
+    whole = preintegrate(*measured, first, stop[None], *noise).take(0)
+    assert_same(join(*parts), whole, atol=(3 * turn_radps * measured[2].max()) ** 2 / 2)

@@ -10,6 +10,8 @@ from fgloc.datasets import make, open_drive
 from fgloc.datasets.degrade import degrade
 from fgloc.errors import SolverError
 from fgloc.frames import log_so3
+from fgloc.infrastructure import Infrastructure, Node
+from fgloc.measurements import NodeDetections
 from fgloc.smoother.band import Vector
 from fgloc.smoother.chain import Chain
 from fgloc.smoother.graph import GraphModel
@@ -26,6 +28,22 @@ CASES = {
 }
 
 
+def seen_by_a_node(drive, **node):
+    """The drive past a node that sees the centre of the car's box twice a second."""
+    rng, at = np.random.default_rng(5), slice(0, None, 25)
+    truth, box = drive.truth, np.array([1.4, 0.1, 0.0])
+    place = Node("pole", truth.p_world_m[len(truth) // 2] + [8.0, 5.0, 6.0], 0.4, **node)
+    t_ns, p = truth.t_ns[at], (truth.p_world_m + truth.R_world_veh @ box)[at, :2]
+    n = len(t_ns)
+    seen = NodeDetections(
+        t_ns, t_ns, np.zeros(n), np.full(n, 7), np.ones(n),
+        place.from_world(p + 0.3 * rng.normal(size=(n, 2))), np.tile(0.09 * np.eye(2), (n, 1, 1)),
+    )  # fmt: skip
+    rig = replace(drive.rig, p_veh_box_m=box)
+    drive = replace(drive, rig=rig, infrastructure=Infrastructure((place,)))
+    return drive.with_tables(detections=seen)
+
+
 def solvers(drive, **settings):
     """The model of a drive, its guess, and its graph as a chain and for GTSAM."""
     config = load_config(**settings)
@@ -37,16 +55,18 @@ def solvers(drive, **settings):
 def robustness(chain, gated=False):
     """The configured loss, with some fixes gated."""
     gnss = chain.model.config.gnss
-    width = np.inf if gnss.loss == "none" or chain.model.has_gnss_bias else gnss.loss_width
-    return Robustness(gated | np.zeros(len(chain.fixed), bool), width)
+    width = np.inf if gnss.loss == "none" else gnss.loss_width
+    return Robustness(gated | np.zeros(chain.rows, bool), width)
 
 
 def assert_same_optimum(drive, gated=(), **settings):
     """Cost within 1e-6, positions within 0.1 mm, covariances within 0.1 %."""
     settings = {"solver": {"cost_tolerance": 1e-7}, **settings}
     _, start, chain, whole = solvers(drive, **settings)
-    robust = robustness(chain, np.isin(np.arange(len(chain.fixed)), gated))
-    near, _, _ = chain.optimum(States.of(start), replace(robust, plain=True), rough=True)
+    robust = robustness(chain, np.isin(np.arange(chain.rows), gated))
+    near, _, _ = chain.optimum(
+        States.of(start, chain.model), replace(robust, plain=True), rough=True
+    )
     ours, cost, _ = chain.optimum(near, robust)
     # GTSAM's steps are damped and its robust tail is long: it starts where we ended.
     theirs, its_cost, _ = whole.optimum(ours, robust)
@@ -95,20 +115,37 @@ def test_with_each_constraint_of_the_vehicle(city, altered, asked):
     assert_same_optimum(drive, vehicle={"wheel_speed": False, asked: True})
 
 
+@pytest.mark.parametrize(
+    ("node", "settings"),
+    [
+        ({}, {"loss": "none"}),
+        ({"bias_sigma_m": 0.5}, {"loss": "huber"}),
+        ({"bias_sigma_m": 0.5, "sigma_position_m": 0.2, "sigma_yaw_rad": 0.01}, {}),
+        ({}, {"offset_sigma_m": 0.5}),
+    ],
+)
+def test_with_what_a_node_sees(city, node, settings):
+    drive = seen_by_a_node(city(0, 20.0), **node)
+    settings = {"loss_width": 1.5, **settings}  # so that it acts on many
+    # Slow errors and an offset leave the position of the whole drive loose: the cost is flat there.
+    solver = {"cost_tolerance": 1e-9}
+    assert_same_optimum(drive, gnss={"bias_sigma_m": 1.0}, detections=settings, solver=solver)
+
+
 def test_the_cost_anywhere_is_that_of_the_graph(city):
     """Not only at the optimum: attitudes, speeds and biases off by what a bad guess is off by."""
     _, start, chain, whole = solvers(city(0, 10.0), gnss={"loss": "none"})
     rng, robust = np.random.default_rng(0), robustness(chain)
     step = Vector(0.1 * rng.normal(size=(chain.n, 15)), np.zeros(chain.shared))
-    states = chain.moved(States.of(start), step)
-    graph, values = whole._graph(robust), whole._values(states)
+    states = chain.moved(States.of(start, chain.model), step)
+    graph, values = whole._graph(robust), whole._values(states, robust)
     assert chain.linearize(states, robust, "newton")[0] == pytest.approx(graph.error(values))
 
 
 def test_a_step_lowers_the_cost_by_what_it_promises(city):
     _, start, chain, _ = solvers(city(0, 10.0))
     robust = replace(robustness(chain), plain=True)
-    states, cost, _ = chain.optimum(States.of(start), robust)
+    states, cost, _ = chain.optimum(States.of(start, chain.model), robust)
     rng = np.random.default_rng(1)
     tangent = 1e-5 * rng.normal(size=(chain.n, 15)) * np.repeat([1, 1e-2], [9, 6])
     away = chain.moved(states, Vector(tangent, np.zeros(chain.shared)))
@@ -119,7 +156,6 @@ def test_a_step_lowers_the_cost_by_what_it_promises(city):
 
 def test_a_fix_out_of_all_bounds_is_an_error_that_names_its_keyframe():
     model, start, chain, _ = solvers(make("city", duration_s=10.0))
-    model.fixes.p_world_ant_m.flags.writeable = True
-    model.fixes.p_world_ant_m[model.fix_of[50]] = 1e300
+    model.positions.z_world_m[50] = 1e300
     with pytest.raises(SolverError, match=r"the solver failed at the \w+ of keyframe 50, t = 5.00"):
-        chain.optimum(States.of(start), robustness(chain))
+        chain.optimum(States.of(start, chain.model), robustness(chain))

@@ -61,33 +61,33 @@ def test_the_imu_agrees_with_the_truth_up_to_its_noise_and_bias(model_of):
 
 def test_a_fix_is_of_the_antenna(model_of):
     model = model_of()
-    (factor,) = model.fix_factors(20)
-    z = model.fixes.p_world_ant_m[model.fix_of[20]]
+    (factor,) = model.position_factors(20)
+    z = model.positions.z_world_m[20]
     pose = gtsam.Pose3(gtsam.Rot3.Yaw(0.7), np.array([1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(factor.evaluateError(pose), pose.transformFrom(model.lever) - z)
-    moved = pose.retract(np.array([0, 0, 0, 1e-6, 0, 0])).transformFrom(model.lever)
-    slope = (moved - pose.transformFrom(model.lever)) / 1e-6
+    np.testing.assert_allclose(factor.evaluateError(pose), pose.transformFrom(model.levers[0]) - z)
+    moved = pose.retract(np.array([0, 0, 0, 1e-6, 0, 0])).transformFrom(model.levers[0])
+    slope = (moved - pose.transformFrom(model.levers[0])) / 1e-6
     R = pose.rotation().matrix()
-    np.testing.assert_allclose(slope, (R @ model.antenna_by_pose)[:, 3], atol=1e-6)
+    np.testing.assert_allclose(slope, (R @ model.point_by_pose[0])[:, 3], atol=1e-6)
 
 
 def test_a_bias_of_gnss_brings_its_own_variables(model_of):
     model = model_of(gnss={"bias_sigma_m": 2.0})
-    assert keys_of(model.fix_factors(3)) == [[L(0), X(3), A(3)], [A(3), C(3)]]
-    assert keys_of(model.gnss_bias_factors(3, None)) == [[C(3)]]
-    assert keys_of(model.gnss_bias_factors(3, 1)) == [[C(1), C(3)]]
-    assert model_of().gnss_bias_factors(3, 1) == []
+    assert keys_of(model.position_factors(3)) == [[L(0), X(3), A(3)], [A(3), C(3)]]
+    assert keys_of(model.slow_factors(3, None)) == [[C(3)]]
+    assert keys_of(model.slow_factors(3, 1)) == [[C(1), C(3)]]
+    assert model_of().slow_factors(3, 1) == []
 
 
 def test_sigma_scale_widens_every_fix(model_of):
     once, twice = model_of(), model_of(gnss={"sigma_scale": 2.0})
-    np.testing.assert_allclose(twice.cov_world_m2, 4 * once.cov_world_m2)
+    np.testing.assert_allclose(twice.cov_m2, 4 * once.cov_m2)
 
 
 def test_the_gate_is_a_quantile_times_the_slack_squared(model_of):
     gate = {"gate_probability": 0.95, "gate_slack": 2.0}
-    assert model_of(gnss=gate).gate_nis == pytest.approx(4 * 7.8147, rel=1e-4)
-    assert model_of(gnss={"gate_probability": 1.0}).gate_nis == np.inf
+    assert model_of(gnss=gate).sources[0].gate_nis == pytest.approx(4 * 7.8147, rel=1e-4)
+    assert model_of(gnss={"gate_probability": 1.0}).sources[0].gate_nis == np.inf
 
 
 def test_a_gap_is_bridged_with_the_noise_of_not_knowing(model_of, city, altered):
@@ -131,7 +131,7 @@ def test_the_prior_is_level_and_around_the_first_fix(model_of):
     tilted = gtsam.Pose3(gtsam.Rot3.Ypr(0.4, 0.2, 0.1), np.array([500.0, 0.0, 0.0]))
     state = State(tilted, np.ones(3), gtsam.imuBias.ConstantBias())
     values = gtsam.Values()
-    first = model.fixes.p_world_ant_m[0]
+    first = model.first_place_m
     values.insert(X(0), gtsam.Pose3(gtsam.Rot3.Yaw(0.4), first + [0, 0, POSITION_SIGMA_M]))
     turn, place = model.prior_factors(0, state, 10.0)[:2]
     assert turn.error(values) == pytest.approx(0, abs=1e-20)
