@@ -35,15 +35,18 @@ from fgloc.datasets.drive_toml import (
     to_rig,
 )
 from fgloc.datasets.parquet_table import read_table, write_table
+from fgloc.datasets.post_columns import TRUTH as POST_TRUTH
+from fgloc.datasets.post_columns import poses_from_columns, truth_columns, truth_from_columns
 from fgloc.datasets.trajectory_columns import TRUTH, trajectory_from_columns, trajectory_to_columns
 from fgloc.drive import Drive
 from fgloc.errors import DriveError, InputError, nearest
 from fgloc.frames import Origin
 from fgloc.infrastructure import Infrastructure
 from fgloc.measurements import ObjectTruth, Table
+from fgloc.posts import PostStates
 from fgloc.trajectory import Trajectory
 
-_OTHER_LAYOUTS = {"truth": TRUTH, "objects": OBJECTS}
+_OTHER_LAYOUTS = {"truth": TRUTH, "objects": OBJECTS, "post_truth": POST_TRUTH}
 _STEMS = (*LAYOUTS, *_OTHER_LAYOUTS)
 _SUFFIXES = (".csv", ".parquet")
 
@@ -80,6 +83,7 @@ def read_drive(folder: str | Path) -> Drive:
         to_about(about.about),
         infrastructure,
         _objects(files, columns),
+        _post_truth(files, columns, infrastructure),
     )
 
 
@@ -118,12 +122,23 @@ def salvage_drive(folder: str | Path) -> tuple[Drive | None, dict[str, InputErro
     if "truth" not in faults:
         with _kept(faults, "truth"):
             truth = _truth(folder, about, files, columns, origin)
-    objects = None
+    objects = post_truth = None
     if "objects" not in faults:
         with _kept(faults, "objects"):
             objects = _objects(files, columns)
+    if "post_truth" not in faults:
+        with _kept(faults, "post_truth"):
+            post_truth = _post_truth(files, columns, infrastructure)
     drive = Drive(
-        about.name, origin, rig, tables, truth, to_about(about.about), infrastructure, objects
+        about.name,
+        origin,
+        rig,
+        tables,
+        truth,
+        to_about(about.about),
+        infrastructure,
+        objects,
+        post_truth,
     )
     return (drive if tables else None), faults
 
@@ -176,6 +191,8 @@ def _contents(drive: Drive) -> dict[str, Columns]:
         contents["objects"] = table_to_columns(drive.objects)
     if drive.truth is not None:
         contents["truth"] = trajectory_to_columns(drive.truth, exact_attitude=True)
+    if drive.post_truth is not None:
+        contents["post_truth"] = truth_columns(drive.post_truth)
     return contents
 
 
@@ -248,6 +265,8 @@ def _table(
         return gnss_from_columns(path, columns, origin)
     if stem == "detections":
         return detections_from_columns(path, columns, infrastructure)
+    if stem == "node_poses":
+        return poses_from_columns(path, columns, infrastructure)
     readers = {
         "imu": imu_from_columns, "wheel": wheel_from_columns, "steering": steering_from_columns,
         "odometry": odometry_from_columns, "velocity": velocity_from_columns,
@@ -277,3 +296,11 @@ def _truth(
         return None
     point = about.truth.p_veh_point_m if about.truth else (0, 0, 0)
     return trajectory_from_columns(files["truth"], columns["truth"], point, origin)
+
+
+def _post_truth(
+    files: dict[str, Path], columns: dict[str, Columns], infrastructure: Infrastructure
+) -> PostStates | None:
+    if "post_truth" not in files:
+        return None
+    return truth_from_columns(files["post_truth"], columns["post_truth"], infrastructure)

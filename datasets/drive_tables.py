@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.datasets.columns import Columns, Group, Layout, place
+from fgloc.datasets.post_columns import POSES, check_node, pose_columns
 from fgloc.datasets.trajectory_columns import (
     ENU,
     GEODETIC,
@@ -27,6 +28,7 @@ from fgloc.measurements import (
     GnssFixes,
     ImuSamples,
     NodeDetections,
+    NodePoses,
     ObjectTruth,
     Odometry,
     RelativeSightings,
@@ -70,6 +72,7 @@ LAYOUTS = {
         )
     ),
     "relative": Layout((*_TIME, Group.of(*NAMES[1:]), Group.of(*SEEN), Group.of(*SEEN_COVARIANCE))),
+    "node_poses": POSES,
 }
 """Columns of each kind of table. `received_ns` left out means: received when it was true."""
 
@@ -107,6 +110,8 @@ def table_to_columns(table: Table) -> Columns:
     if isinstance(table, ObjectTruth):
         columns |= {"object_id": table.object_id} | unstack(SEEN_WORLD, table.p_world_m)
         return columns | unstack(PLANE_VELOCITY, table.v_world_mps)
+    if isinstance(table, NodePoses):
+        return columns | pose_columns(table)
     raise DriveError(f"a drive folder has no file for a table of kind {table.KIND!r}")
 
 
@@ -195,14 +200,7 @@ def detections_from_columns(
     covariance that cannot be one.
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
-    nodes = infrastructure.nodes
-    unknown = (columns["node"] < 0) | (columns["node"] >= len(nodes))
-    if unknown.any():
-        row = int(np.argmax(unknown))
-        raise DriveError(
-            f"{place(path, row)}: node = {columns['node'][row]}, but drive.toml has {len(nodes)} "
-            "[[node]], counted from 0; add it there or remove the row"
-        )
+    check_node(path, columns, infrastructure)
     node, object_id, kind = (columns[name] for name in NAMES)
     seen, cov = _seen(columns, infrastructure), _seen_covariance(path, columns)
     return NodeDetections(*_times(columns), node, object_id, kind, seen, cov)

@@ -13,7 +13,7 @@ from fgloc.config import validate
 from fgloc.drive import About, Drive, GnssBias, ImuNoise, Rig
 from fgloc.errors import ConfigError, DriveError, InputError
 from fgloc.frames import HEIGHT_LIMITS_M, LATITUDE_LIMITS_DEG, LONGITUDE_LIMITS_DEG, Origin
-from fgloc.infrastructure import Infrastructure, Node
+from fgloc.infrastructure import Infrastructure, Node, Post
 
 FILE_NAME = "drive.toml"
 
@@ -85,6 +85,20 @@ class NodePart(_Part):
     range_m: float = Field(default=Node.range_m, ge=0)
     bias_sigma_m: float = Field(default=Node.bias_sigma_m, ge=0)
     bias_tau_s: float = Field(default=Node.bias_tau_s, gt=0)
+    sensor: Literal["camera", "lidar"] = Node.sensor
+
+
+class PostPart(_Part):
+    """[[post]]: the fields of `Post`."""
+
+    node: str = Field(min_length=1)
+    height_m: float = Field(gt=0)
+    frequency_hz: float = Field(gt=0)
+    damping: float = Field(gt=0, lt=1)
+    modal_mass_kg: float = Field(gt=0)
+    tip_slope_per_m: float = Field(gt=0)
+    load_sigma_n: float = Field(gt=0)
+    load_tau_s: float = Field(gt=0)
 
 
 class TruthPart(_Part):
@@ -102,6 +116,7 @@ class DriveToml(_Part):
     origin: OriginPart | None = None
     rig: RigPart = RigPart()
     node: list[NodePart] = []
+    post: list[PostPart] = []
     truth: TruthPart | None = None
 
 
@@ -138,9 +153,10 @@ def to_origin(part: OriginPart) -> Origin:
 
 
 def to_infrastructure(path: Path, file: DriveToml) -> Infrastructure:
-    """What stands beside the road; DriveError where two have one name."""
+    """What stands beside the road; DriveError where two have one name or a post has no node."""
     try:
-        return Infrastructure(tuple(Node(**part.model_dump()) for part in file.node))
+        nodes = tuple(Node(**part.model_dump()) for part in file.node)
+        return Infrastructure(nodes, tuple(Post(**part.model_dump()) for part in file.post))
     except InputError as err:
         raise DriveError(f"{path}: {err}") from err
 
@@ -168,6 +184,8 @@ def format_toml(drive: Drive) -> str:
     }
     if drive.infrastructure.nodes:
         content["node"] = [_node(node) for node in drive.infrastructure.nodes]
+    if drive.infrastructure.posts:
+        content["post"] = [_floats(vars(post)) for post in drive.infrastructure.posts]
     if drive.truth is not None:
         content["truth"] = {"p_veh_point_m": drive.truth.p_veh_point_m.tolist()}
     return tomli_w.dumps(content)

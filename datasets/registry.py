@@ -72,6 +72,20 @@ _INFOS = (
         "three passes by a roadside node (Lee et al. 2021); options errors, latency_s",
     ),
     DatasetInfo(
+        "khamooshi2023/sway-low", "scenario", 60.0, ("node_poses",), "MIT",
+        "a node on a post that sways at 0.5 and 1 Hz, poses 10 Hz; options duration_s, wind, "
+        "tilt_noise",
+    ),
+    DatasetInfo(
+        "khamooshi2023/sway-high", "scenario", 60.0, ("node_poses",), "MIT",
+        "the same under a load at 1, 3 and 10 Hz, faster than the poses can show",
+    ),
+    DatasetInfo(
+        "khamooshi2023/sway-drive", "scenario", 84.0, ("gnss", "imu", "detections", "node_poses"),
+        "MIT", "a car passes a node on a swaying post; options duration_s, sensor, gnss_sigma_m, "
+        "sways, poses",
+    ),
+    DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
     ),
@@ -139,6 +153,9 @@ _SCENARIOS = {
     "khamooshi2023/correspondence": "khamooshi2023_cooperative.make_correspondence",
     "khamooshi2023/intersection": "khamooshi2023_cooperative.make_intersection",
     "khamooshi2023/right-turn": "khamooshi2023_node.make_right_turn",
+    "khamooshi2023/sway-low": "khamooshi2023_sway.make_sway_low",
+    "khamooshi2023/sway-drive": "khamooshi2023_sway_drive.make_sway_drive",
+    "khamooshi2023/sway-high": "khamooshi2023_sway.make_sway_high",
 }
 """Module and function of each scenario."""
 

@@ -21,16 +21,18 @@ if TYPE_CHECKING:
     from fgloc.evaluation.comparison import Comparison, Method
     from fgloc.evaluation.metric import Metric
     from fgloc.frames import Origin
-    from fgloc.infrastructure import Infrastructure, Node
+    from fgloc.infrastructure import Infrastructure, Node, Post
     from fgloc.measurements import (
         EnuVelocities,
         GnssFixes,
         ImuSamples,
         NodeDetections,
+        NodePoses,
         Odometry,
         SteeringAngles,
         WheelSpeeds,
     )
+    from fgloc.posts import PostStates
     from fgloc.result import Event, Result
     from fgloc.trajectory import Trajectory
     from fgloc.tuning.result import Tuning
@@ -47,7 +49,8 @@ _HOME = {
     "InputError": "errors", "SolverError": "errors", "Origin": "frames",
     "GnssFixes": "measurements", "ImuSamples": "measurements", "SteeringAngles": "measurements",
     "WheelSpeeds": "measurements", "EnuVelocities": "measurements", "Odometry": "measurements",
-    "NodeDetections": "measurements", "Infrastructure": "infrastructure", "Node": "infrastructure",
+    "NodeDetections": "measurements", "NodePoses": "measurements", "Post": "infrastructure",
+    "PostStates": "posts", "Infrastructure": "infrastructure", "Node": "infrastructure",
     "GnssBias": "drive", "Event": "result", "Result": "result",
     "Trajectory": "trajectory", "Tuning": "tuning.result", "SourceVerdicts": "verdicts",
     "Verdict": "verdicts",
@@ -74,8 +77,11 @@ __all__ = [
     "Metric",
     "Node",
     "NodeDetections",
+    "NodePoses",
     "Odometry",
     "Origin",
+    "Post",
+    "PostStates",
     "Result",
     "Rig",
     "SmoothConfig",

@@ -206,6 +206,14 @@ class SolverConfig(Section):
     """The batch has converged where an iteration changes the cost, half a chi-square, by less."""
 
 
+class PostsConfig(Section):
+    """Swaying posts of a drive that has poses of nodes."""
+
+    estimate_mode: bool = False
+    """Seek frequency, damping and load of each post where its poses are likeliest, instead of
+    taking what the drive states; a search over the whole drive, so for a batch alone."""
+
+
 class SmoothConfig(Section):
     """Everything that `fgloc smooth` can be told."""
 
@@ -226,6 +234,7 @@ class SmoothConfig(Section):
     vehicle: VehicleConfig = VehicleConfig()
     clock: ClockConfig = ClockConfig()
     solver: SolverConfig = SolverConfig()
+    posts: PostsConfig = PostsConfig()
 
 
 def load_config(

@@ -15,10 +15,12 @@ from fgloc.measurements import (
     GnssFixes,
     ImuSamples,
     NodeDetections,
+    NodePoses,
     ObjectTruth,
     Table,
     freeze,
 )
+from fgloc.posts import PostStates
 from fgloc.trajectory import Trajectory
 
 T = TypeVar("T", bound=Table)
@@ -115,7 +117,8 @@ class About:
 class Drive:
     """One recorded or simulated drive; `tables` maps the source's name to its table.
 
-    `truth` is of the vehicle, `objects` of other road users.
+    `truth` is that of the vehicle, `objects` of other road users, `post_truth` tells how the posts
+    beside the road swayed.
     """
 
     name: str
@@ -126,15 +129,16 @@ class Drive:
     about: About = About()
     infrastructure: Infrastructure = field(default_factory=Infrastructure)
     objects: ObjectTruth | None = None
+    post_truth: PostStates | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "tables", MappingProxyType(dict(self.tables)))
-        for table in self.tables.values():
-            if isinstance(table, NodeDetections):
+        for table in (*self.tables.values(), self.post_truth):
+            if isinstance(table, NodeDetections | NodePoses | PostStates):
                 self._check_nodes(table)
 
-    def _check_nodes(self, table: NodeDetections) -> None:
-        """Every detection is of a node that the infrastructure has."""
+    def _check_nodes(self, table: NodeDetections | NodePoses | PostStates) -> None:
+        """Every row is of a node that the infrastructure has."""
         have = len(self.infrastructure.nodes)
         unknown = (table.node < 0) | (table.node >= have)
         if unknown.any():
@@ -153,6 +157,11 @@ class Drive:
     def imu(self) -> ImuSamples:
         """The IMU samples; raises DriveError where the drive has none."""
         return self._table("imu", ImuSamples)
+
+    @property
+    def has_vehicle(self) -> bool:
+        """Whether any table tells of a vehicle; poses of nodes alone do not."""
+        return set(self.tables) != {NodePoses.KIND}
 
     @property
     def start_ns(self) -> int:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, fields
+from typing import Literal
 
 import numpy as np
 
@@ -27,6 +28,8 @@ class Node:
     range_m           beyond this the node's detections are not to be used
     bias_sigma_m      of a slowly varying error of its positions, each axis; 0 is none
     bias_tau_s        over which that error forgets itself (first-order Gauss-Markov)
+    sensor            'lidar' where what it reports is rigid in space, 'camera' where it is the
+                      ground seen along a ray: what a sway of the node does to it depends on that
     """
 
     name: str
@@ -37,6 +40,7 @@ class Node:
     range_m: float = 100.0
     bias_sigma_m: float = 0.0
     bias_tau_s: float = 60.0
+    sensor: Literal["camera", "lidar"] = "lidar"
 
     def __post_init__(self) -> None:
         place = freeze(self.p_world_m)
@@ -66,11 +70,61 @@ class Node:
         return (p_world_m - self.p_world_m[:2]) @ self.R_world_node
 
 
+@dataclass(frozen=True)
+class Post:
+    """A post that carries a node and sways: its first bending mode, alike along x and y.
+
+    Raises DriveError where a number is not finite and above 0.
+
+    node             name of the node at its tip
+    height_m         of the tip above the ground
+    frequency_hz     natural, of the first mode without damping
+    damping          ratio, below 1
+    modal_mass_kg    what a load at the tip has to move
+    tip_slope_per_m  tilt in rad for each metre that the tip is displaced
+    load_sigma_n     standard deviation of the wind's load about its mean, each axis
+    load_tau_s       over which that load forgets itself (first-order Gauss-Markov)
+    """
+
+    node: str
+    height_m: float
+    frequency_hz: float
+    damping: float
+    modal_mass_kg: float
+    tip_slope_per_m: float
+    load_sigma_n: float
+    load_tau_s: float
+
+    def __post_init__(self) -> None:
+        numbers = {name: value for name, value in vars(self).items() if name != "node"}
+        for name, value in numbers.items():
+            if not math.isfinite(value) or value <= 0:
+                raise DriveError(
+                    f"post of node {self.node!r}: {name} = {value}: expected a number above 0"
+                )
+        if self.damping >= 1:
+            raise DriveError(
+                f"post of node {self.node!r}: damping = {self.damping}: expected a ratio below 1; "
+                "is it in per cent?"
+            )
+
+    @property
+    def name(self) -> str:
+        """That of its node."""
+        return self.node
+
+
 @dataclass(frozen=True, eq=False)
 class Infrastructure:
     """All that stands beside the road of a drive."""
 
     nodes: tuple[Node, ...] = field(default=())
+    posts: tuple[Post, ...] = field(default=())
+
+    def post_of(self, node: int) -> Post | None:
+        """The post that carries a node, given by its number; None where it does not sway."""
+        name = self.nodes[node].name
+        return next((post for post in self.posts if post.node == name), None)
 
     def __post_init__(self) -> None:
         for one in fields(self):
@@ -78,3 +132,7 @@ class Infrastructure:
             double = next((name for name in names if names.count(name) > 1), None)
             if double is not None:
                 raise DriveError(f"{one.name}: the name {double!r} occurs twice; names are unique")
+        known = {node.name for node in self.nodes}
+        astray = next((post.node for post in self.posts if post.node not in known), None)
+        if astray is not None:
+            raise DriveError(f"posts: there is no node named {astray!r}; add it as [[node]]")

@@ -282,11 +282,36 @@ class ObjectTracks(Table):
     SHAPES: ClassVar = {"track_id": (), "state": (4,), "cov": (4, 4)}
 
 
+@dataclass(frozen=True, eq=False)
+class NodePoses(Table):
+    """How far a node on a swaying post is from where it was surveyed, as a pose estimator sees it.
+
+    node            (N,) number of the node among the drive's nodes, from 0
+    p_node_m        (N, 2) displacement along the node's level axes, m
+    tilt_rad        (N, 2) roll and pitch: turns about the same axes; NaN where they are not told
+    sigma_p_m       (N, 2) standard deviations of the displacement
+    sigma_tilt_rad  (N, 2) and of roll and pitch
+    """
+
+    node: NDArray[np.int64]
+    p_node_m: Array
+    tilt_rad: Array
+    sigma_p_m: Array
+    sigma_tilt_rad: Array
+
+    KIND = "node_poses"
+    WHOLE = frozenset({"node"})
+    SHAPES: ClassVar = {
+        "node": (), "p_node_m": (2,), "tilt_rad": (2,), "sigma_p_m": (2,), "sigma_tilt_rad": (2,),
+    }  # fmt: skip
+
+
 TABLES: dict[str, type[Table]] = {
     cls.KIND: cls
     for cls in (
         GnssFixes, ImuSamples, WheelSpeeds, SteeringAngles, Odometry, EnuVelocities, NodeDetections,
         RelativeSightings,
+        NodePoses,
     )
 }  # fmt: skip
 """Every kind of table by its name, which is also the name of its source in a drive."""

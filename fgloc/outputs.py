@@ -15,10 +15,13 @@ from pydantic_core import to_json
 
 from fgloc.drive import Drive
 from fgloc.errors import InputError
-from fgloc.evaluation import Judgement, judge, requirements
+from fgloc.evaluation import Judgement, judge, requirements, score_posts
 from fgloc.evaluation.comparison import Comparison
+from fgloc.evaluation.metric import Metric
 from fgloc.evaluation.objects import score_objects
 from fgloc.frames import Origin
+from fgloc.measurements import Array
+from fgloc.posts import PostStates
 from fgloc.result import Event, Result
 from fgloc.timing import NS_PER_S
 from fgloc.trajectory import Trajectory
@@ -27,17 +30,25 @@ from fgloc.verdicts import SourceVerdicts, Verdicts
 TRAJECTORY, SMOOTHED = "trajectory", "trajectory_smoothed"
 SUMMARY, VERDICTS, CONFIG, REPORT = "summary.json", "verdicts.csv", "config.toml", "report.html"
 OBJECTS = "objects.csv"
-COMPARISON = "compare.json"
+COMPARISON, POSTS = "compare.json", "posts.csv"
 VERDICT_COLUMNS = (
     "source", "t_ns", "received_ns", "verdict", "nis", "dof", "threshold", "reason",
 )  # fmt: skip
 _ROWS_AT_ONCE = 65_536
+POST_COLUMNS = {
+    "x_m": ("p_node_m", 0), "vx_mps": ("v_node_mps", 0), "y_m": ("p_node_m", 1),
+    "vy_mps": ("v_node_mps", 1), "roll_rad": ("tilt_rad", 0), "pitch_rad": ("tilt_rad", 1),
+    "sigma_x_m": ("sigma_p_m", 0), "sigma_vx_mps": ("sigma_v_mps", 0),
+    "sigma_y_m": ("sigma_p_m", 1), "sigma_vy_mps": ("sigma_v_mps", 1),
+    "sigma_roll_rad": ("sigma_tilt_rad", 0), "sigma_pitch_rad": ("sigma_tilt_rad", 1),
+}  # fmt: skip
+"""Columns of `posts.csv` after node and time, each from a column of the table."""
 _SUFFIXES = ("tum", "csv", "geojson")
 ALSO = ("gpx", "kml")
 """Formats of the trajectory that are written where they are asked for."""
 FILES = (
     *(f"{stem}.{suffix}" for stem in (TRAJECTORY, SMOOTHED) for suffix in (*_SUFFIXES, *ALSO)),
-    SUMMARY, VERDICTS, CONFIG, REPORT, OBJECTS,
+    SUMMARY, VERDICTS, CONFIG, REPORT, OBJECTS, POSTS,
 )  # fmt: skip
 """Everything that a result folder may hold; these are replaced when it is written again."""
 
@@ -89,7 +100,10 @@ def write_result(
     summary = summarize(drive, result, judged, score_from_s)
     with _writing(folder):
         _clear(folder)
-        _write_trajectory(folder, TRAJECTORY, result.trajectory, drive, also)
+        if len(result.trajectory):
+            _write_trajectory(folder, TRAJECTORY, result.trajectory, drive, also)
+        if result.posts is not None:
+            _write_text(folder / POSTS, format_posts(result.posts, drive))
         if result.smoothed is not None:
             _write_trajectory(folder, SMOOTHED, result.smoothed, drive, also)
         with (folder / VERDICTS).open("w", encoding="utf-8", newline="\n") as file:
@@ -176,17 +190,17 @@ def summarize(
         "origin": vars(drive.origin),
         "events": [_event(event, drive.start_ns) for event in result.events],
     }
+    metrics = score_posts(result.posts, drive, score_from_s=score_from_s)
     if judged is not None:
-        summary |= {"score_from_s": score_from_s, "metrics": _plain_metrics(judged)}
+        metrics |= judged.metrics
         summary["requirements"] = requirements.as_dict(judged.requirements)
     if drive.objects is not None and result.objects is not None:
-        found = score_objects(result.objects, drive.objects, drive.start_ns, score_from_s)
-        summary["metrics"] = summary.get("metrics", {}) | {
-            name: metric.to_dict() for name, metric in found.items()
-        }
+        metrics |= score_objects(result.objects, drive.objects, drive.start_ns, score_from_s)
+    if metrics:
+        summary |= {"score_from_s": score_from_s, "metrics": _plain(metrics)}
     if drive.truth is not None and result.smoothed is not None:
         smoothed = judge(result, drive.truth, score_from_s=score_from_s, smoothed=True)
-        summary["smoothed_metrics"] = _plain_metrics(smoothed)
+        summary["smoothed_metrics"] = _plain(smoothed.metrics)
         summary["smoothed_requirements"] = requirements.as_dict(smoothed.requirements)
     clean: dict[str, Any] = jsonable(summary)
     return clean
@@ -195,6 +209,21 @@ def summarize(
 def format_verdicts(verdicts: Verdicts) -> str:
     """The text of `verdicts.csv`: one row per measurement, source by source; NaN is left empty."""
     return "".join(_verdict_lines(verdicts))
+
+
+def format_posts(posts: PostStates, drive: Drive) -> str:
+    """The text of `posts.csv`: the node's name, then the state; a sigma that is not told is empty.
+
+    Displacements in m along the node's level axes, velocities, roll and pitch in rad.
+    """
+    names = [node.name for node in drive.infrastructure.nodes]
+    columns: list[Array] = [getattr(posts, name)[:, k] for name, k in POST_COLUMNS.values()]
+    numbers = np.stack(columns, -1).tolist()
+    lines = (
+        f"{_cell(names[node])},{t},{','.join(map(_number, row))}\n"
+        for node, t, row in zip(posts.node.tolist(), posts.t_ns.tolist(), numbers, strict=True)
+    )
+    return ",".join(["node", "t_ns", *POST_COLUMNS]) + "\n" + "".join(lines)
 
 
 def format_config(drive: Drive, result: Result) -> str:
@@ -277,8 +306,8 @@ def _event(event: Event, start_ns: int) -> dict[str, Any]:
     return {"t_ns": event.t_ns, "t_s": t_s, "kind": event.kind, "text": event.text}
 
 
-def _plain_metrics(judged: Judgement) -> dict[str, Any]:
-    return {name: metric.to_dict() for name, metric in judged.metrics.items()}
+def _plain(metrics: Mapping[str, Metric]) -> dict[str, Any]:
+    return {name: metric.to_dict() for name, metric in metrics.items()}
 
 
 def _verdict_lines(verdicts: Verdicts) -> Iterator[str]:
@@ -316,6 +345,11 @@ def _texts(values: NDArray[Any]) -> list[str]:
     """The shortest exact text of each number, by pydantic's JSON; empty for NaN."""
     text = to_json(values.tolist())[1:-1].decode()
     return text.replace("NaN", "").replace("Infinity", "inf").split(",")
+
+
+def _number(value: float) -> str:
+    """The shortest exact text, empty for NaN."""
+    return "" if np.isnan(value) else repr(float(value))
 
 
 def _cell(text: str) -> str:

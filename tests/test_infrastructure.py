@@ -9,7 +9,7 @@ from fgloc.datasets.drive_folder import read_drive
 from fgloc.drive import Drive, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.infrastructure import Infrastructure, Node
+from fgloc.infrastructure import Infrastructure, Node, Post
 from fgloc.measurements import NodeDetections
 
 TOML = """format = 1
@@ -80,8 +80,76 @@ def test_a_node_of_impossible_numbers_is_refused(part, says):
         Node(**{"name": "pole", "p_world_m": np.zeros(3)} | part)
 
 
+POST = """[[post]]
+node = "pole"
+height_m = 10
+frequency_hz = 1.97
+damping = 0.05
+modal_mass_kg = 20
+tip_slope_per_m = 0.138
+load_sigma_n = 250
+load_tau_s = 0.3
+"""
+
+
+def test_a_post_is_found_by_the_number_of_its_node(tmp_path):
+    other = '[[node]]\nname = "wall"\np_world_m = [0, 0, 4]\n'
+    posts = read_drive(write(tmp_path, SEEN, TOML + other + POST)).infrastructure
+    assert posts.post_of(0).frequency_hz == 1.97
+    assert posts.post_of(1) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "by", "says"),
+    [('node = "pole"', 'node = "pile"', "no node named 'pile'; add it as"),
+     ("damping = 0.05", "damping = 5", "damping"),
+     ("height_m = 10", "height_m = 0", "height_m")],
+)  # fmt: skip
+def test_a_post_that_cannot_be_is_refused(tmp_path, line, by, says):
+    with pytest.raises(DriveError, match=says):
+        read_drive(write(tmp_path, SEEN, TOML + POST.replace(line, by)))
+
+
+def test_a_post_damped_in_per_cent_is_asked_about():
+    with pytest.raises(DriveError, match="damping = 5: expected a ratio below 1; is it in per"):
+        Post("pole", 10, 1.97, 5, 20, 0.138, 250, 0.3)
+
+
 def test_a_drive_in_memory_knows_the_nodes_of_its_detections():
     seen = NodeDetections([1], [1], [2], [0], [1], [[0, 0]], np.full((1, 2, 2), np.nan))
     with pytest.raises(DriveError, match="node = 2, but the drive has 1 nodes"):
         Drive("d", Origin(42, -83, 0), Rig(), {"detections": seen}, None,
               infrastructure=Infrastructure((Node("pole", np.zeros(3)),)))  # fmt: skip
+
+
+POSES = "t_ns,node,x_m,y_m,sigma_x_m,sigma_y_m"
+TILTS = ",roll_rad,pitch_rad,sigma_roll_rad,sigma_pitch_rad"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (f"{POSES}\n1,3,0,0,1,1\n", r"node_poses.csv:2: node = 3, but drive.toml has 1 \[\[node"),
+        (f"{POSES}\n1,0,0,0,1,1\n2,0,0,0,1,0\n", r"node_poses.csv:3: sigma_y_m = 0.0; a standard"),
+        (f"{POSES}{TILTS}\n1,0,0,0,1,1,0,0,,1\n", "of roll_rad and sigma_roll_rad one is empty"),
+        (f"{POSES}{TILTS}\n1,0,0,0,1,1,0,0,1,-1\n", "sigma_pitch_rad = -1.0; a standard"),
+    ],
+)
+def test_a_pose_of_a_node_that_cannot_be_names_its_row(tmp_path, text, says):
+    (tmp_path / "node_poses.csv").write_text(text)
+    with pytest.raises(DriveError, match=says):
+        read_drive(write(tmp_path, SEEN))
+
+
+def test_a_pose_need_not_tell_angles(tmp_path):
+    (tmp_path / "node_poses.csv").write_text(f"{POSES}\n1,0,0.1,0.2,1,1\n")
+    poses = read_drive(write(tmp_path, SEEN)).tables["node_poses"]
+    np.testing.assert_array_equal(poses.p_node_m, [[0.1, 0.2]])
+    assert np.isnan(poses.tilt_rad).all()
+
+
+def test_the_truth_of_a_post_is_of_a_node_that_is_there(tmp_path):
+    header = "t_ns,node,x_m,y_m,vx_mps,vy_mps,roll_rad,pitch_rad\n"
+    (tmp_path / "post_truth.csv").write_text(header + "1,0,0,0,0,0,0,0\n2,1,0,0,0,0,0,0\n")
+    with pytest.raises(DriveError, match=r"post_truth.csv:3: node = 1, but drive.toml has 1"):
+        read_drive(write(tmp_path, SEEN))

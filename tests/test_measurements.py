@@ -10,6 +10,7 @@ from fgloc.measurements import (
     GnssFixes,
     ImuSamples,
     NodeDetections,
+    NodePoses,
     Odometry,
     RelativeSightings,
     SteeringAngles,
@@ -40,6 +41,7 @@ def test_every_kind_of_table_is_known_by_its_name():
         "gnss": GnssFixes, "imu": ImuSamples, "wheel": WheelSpeeds, "steering": SteeringAngles,
         "odometry": Odometry, "velocity": EnuVelocities, "detections": NodeDetections,
         "relative": RelativeSightings,
+        "node_poses": NodePoses,
     } == TABLES  # fmt: skip
 
 

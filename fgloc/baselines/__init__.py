@@ -29,6 +29,10 @@ _METHODS: dict[str, str] = {
     "lee2021-ekf:printed": "lee2021_ekf.run_printed",
     "eskf": "eskf.run",
     "eskf:velocity": "eskf.run_by_velocity",
+    "khamooshi2023-uio": "khamooshi2023_uio.run_kinematic",
+    "khamooshi2023-uio-printed": "khamooshi2023_uio.run_printed",
+    "sway-kf": "sway_kf.run_sway_kf",
+    "raw:node_poses": "raw_poses.run_raw_poses",
 }
 """Module and function of each method: from a drive to its result, `summary` without wall time."""
 
@@ -74,7 +78,7 @@ def run(drive: Drive, method: str) -> Result:
 
 def _method(name: str) -> Callable[[Drive], Result]:
     """The function behind a method's name."""
-    if name.startswith(RAW):
+    if name.startswith(RAW) and name not in _METHODS:
         from fgloc.baselines.raw import run_raw
 
         return lambda drive: run_raw(drive, name.removeprefix(RAW))

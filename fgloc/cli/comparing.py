@@ -13,12 +13,13 @@ from fgloc.errors import SolverError
 
 if TYPE_CHECKING:
     from fgloc.evaluation import Metric
-    from fgloc.evaluation.comparison import Comparison
+    from fgloc.evaluation.comparison import Comparison, Row
 
 MEAN = "horizontal_mean_m"
 STANDING_METRICS = ("horizontal_std_m", "horizontal_rmse_m", "horizontal_p95_m", "anees_horizontal")
 MOST_ROWS = 40
 """Rows of single drives on screen; compare.json holds all."""
+_POST_UNITS = {"x": "mm", "y": "mm", "roll": "mrad", "pitch": "mrad"}
 _EPILOG = """\b
 Examples:
   fgloc compare mems-rtk --methods graph-lag,graph-batch,raw:gnss --out table
@@ -115,6 +116,10 @@ def compare(
 
 def _print(found: "Comparison") -> None:
     """Means over the drives where there are several, then the rows of each drive."""
+    if any(_post_names(row) for row in found.rows):
+        _print_posts(found)
+        if not any("horizontal_rmse_m" in row.metrics for row in found.rows):
+            return
     if found.drives > 1:
         header = ("method", "mean RMSE in m", "95 % interval", f"minus {found.against}",
                   "95 % interval", "drives", "failed", "wall s")  # fmt: skip
@@ -131,6 +136,40 @@ def _print(found: "Comparison") -> None:
     _print_rows(found, found.rows[:MOST_ROWS])
     if len(found.rows) > MOST_ROWS:
         say(f"{len(found.rows) - MOST_ROWS} more rows are in compare.json")
+
+
+def _print_posts(found: "Comparison") -> None:
+    """RMSE and largest error of each post: the mean over the drives of which there is a value."""
+    posts = list(dict.fromkeys(name for row in found.rows for name in _post_names(row)))
+    columns = [f"{axis}_{kind}" for axis in _POST_UNITS for kind in ("rmse", "max")]
+    units = [_POST_UNITS[column.partition("_")[0]] for column in columns]
+    titles = (f"{c.replace('_', ' ')} {unit}" for c, unit in zip(columns, units, strict=True))
+    header = ("method", *titles, "drives", "remark")
+    for post in posts:
+        names = [f"{post}.{column}_{unit}" for column, unit in zip(columns, units, strict=True)]
+        rows = [_post_row(found, method, names) for method in found.methods]
+        table(f"Sway of {post.removeprefix('posts.')}", header, rows)
+
+
+def _post_row(found: "Comparison", method: str, names: list[str]) -> tuple[str, ...]:
+    from fgloc.report.tables import number
+
+    rows = found.of(method)
+    values = [[value for row in rows if (value := _value(row, name)) is not None] for name in names]
+    means = (number(sum(column) / len(column)) if column else "" for column in values)
+    failed = next((row.failed for row in rows if row.failed), "")
+    return (method, *means, str(len(values[0])), failed)
+
+
+def _value(row: "Row", name: str) -> float | None:
+    metric = row.metrics.get(name)
+    return None if metric is None else metric.value
+
+
+def _post_names(row: "Row") -> list[str]:
+    """What the metrics of each post of a row begin with."""
+    ends = ".x_rmse_mm"
+    return [name.removesuffix(ends) for name in row.metrics if name.endswith(ends)]
 
 
 def _print_standings(found: "Comparison") -> None:

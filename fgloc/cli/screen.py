@@ -87,7 +87,8 @@ def print_run(summary: Mapping[str, Any], out: Path) -> None:
     say("")
     if "metrics" in summary:
         print_metrics("Errors against the truth", summary["metrics"])
-        print_requirements(summary["requirements"])
+        if "requirements" in summary:
+            print_requirements(summary["requirements"])
     else:
         say("This drive has no truth, so there are no errors to show.\n")
     if "smoothed_metrics" in summary:
@@ -105,7 +106,9 @@ def print_metrics(title: str, metrics: Mapping[str, Mapping[str, Any]]) -> None:
     from fgloc.evaluation.metric import Metric
     from fgloc.report.tables import metric_rows
 
-    found = {name: Metric(**metrics[name]) for name in SHOWN if name in metrics}
+    shown = [name for name in SHOWN if name in metrics]
+    shown += [name for name in metrics if name.startswith("posts.")]
+    found = {name: Metric(**metrics[name]) for name in shown}
     rows = [
         (row["label"], row["value"], row["unit"], row["interval"], row["n"], row["remark"])
         for row in metric_rows(found)

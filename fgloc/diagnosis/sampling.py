@@ -44,10 +44,11 @@ def check_rows(drive: Drive) -> Iterator[Finding]:
     of_many = NodeDetections.KIND in drive.tables and (
         drive.objects is not None or RelativeSightings.KIND in drive.tables
     )
-    if "gnss" not in drive.tables and not of_many:
+    of_the_car = drive.has_vehicle and not of_many
+    if "gnss" not in drive.tables and of_the_car:
         yield fault("no-table", "gnss", "the drive has no gnss table",
                     "add gnss.csv: the graph needs fixes")  # fmt: skip
-    if "imu" not in drive.tables and not of_many:
+    if "imu" not in drive.tables and of_the_car:
         yield remark(
             "no-table", "imu",
             "the drive has no imu table: odometry, steering or the model of a steady velocity "

@@ -12,6 +12,7 @@ from fgloc.evaluation.consistency import anees_band, chi2_quantile, effective_sa
 from fgloc.evaluation.gaps import Growth, Spans, error_growth, gnss_outages, outages, used_fixes_ns
 from fgloc.evaluation.judgement import Judgement, judge, judge_trajectory
 from fgloc.evaluation.metric import Metric
+from fgloc.evaluation.posts import score_posts
 from fgloc.evaluation.requirements import Answer, Requirement, judge_requirements
 from fgloc.evaluation.scoring import score, score_errors
 
@@ -40,5 +41,6 @@ __all__ = [
     "paired_ratio",
     "score",
     "score_errors",
+    "score_posts",
     "used_fixes_ns",
 ]

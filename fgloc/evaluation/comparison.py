@@ -26,6 +26,7 @@ from fgloc.evaluation.overall import (
     plain,
     ratio_over_drives,
 )
+from fgloc.evaluation.posts import score_posts
 from fgloc.evaluation.requirements import Requirement, as_dict
 from fgloc.evaluation.scoring import score_errors
 from fgloc.infrastructure import Node
@@ -235,8 +236,10 @@ def _row(
         wall_s = time.perf_counter() - began
         return Row(drive.name, seed, method.name, wall_s=wall_s, failed=str(err)), None, None
     known: dict[str, Any] = {"summary": result.summary, "config": result.config, "wall_s": wall_s}
+    known["metrics"] = score_posts(result.posts, drive, score_from_s=score_from_s)
     if judged is not None and drive.truth is not None:
-        known |= {"metrics": judged.metrics, "requirements": judged.requirements}
+        known["metrics"] |= judged.metrics
+        known["requirements"] = judged.requirements
         known |= _against(judged.errors, first)
         known["conditions"] = {
             name: _scores(judged.errors, first, drive.truth, mask) for name, mask in masks.items()

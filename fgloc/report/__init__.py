@@ -19,6 +19,7 @@ from fgloc.report.scene import Scene, scene
 from fgloc.report.series import error_figure, nis_figure, sigma_figure, timeline_figure
 from fgloc.report.spread import cdf_figure, growth_figure
 from fgloc.report.style import MAX_POINTS, Spec
+from fgloc.report.sway import health_rows, sway_figure, sway_spectrum_figure
 from fgloc.result import Result
 from fgloc.timing import iso_utc
 
@@ -49,8 +50,10 @@ def render(of: Scene, scores: Mapping[str, Metric] | None) -> str:
     return render_page(
         "report.html.j2", drive=of.drive, result=of.result, facts=_facts(of),
         tiles=tables.tiles(of, scores),
+        posts=health_rows(of),
         figures=list(_figures(of)), metrics=tables.metric_rows(scores or {}),
-        has_truth=of.drive.truth is not None, has_errors=of.errors is not None,
+        has_truth=of.drive.truth is not None or of.drive.post_truth is not None,
+        has_errors=of.errors is not None or of.result.posts is not None,
         verdicts=order, counts=counts, outages=tables.outage_rows(of),
         outage_count=len(of.outages_s), events=tables.event_rows(of),
         event_count=len(of.result.events), max_rows=tables.MAX_ROWS,
@@ -72,7 +75,7 @@ def _requirements(of: Scene) -> dict[str, Any]:
 
 def _facts(of: Scene) -> list[tuple[str, str]]:
     """The lines of the header: what was driven, when, and how it was estimated."""
-    about, summary, states = of.drive.about, of.result.summary, of.result.trajectory.t_ns
+    about, summary, states = of.drive.about, of.result.summary, of.result.states_ns
     lookahead = (
         "causal: each state as it was known at its own time"
         if of.result.causal
@@ -200,6 +203,22 @@ _PLAN_OF_PAGE: tuple[
         lambda of: (
             "Horizontal error since the last fix before each outage. Grey: single outages; "
             "red: their mean, over those that last so long."
+        ),
+    ),
+    (
+        "sway",
+        "Sway of the posts",
+        sway_figure,
+        lambda of: "Displacement of the node along its level axes, against where it was surveyed.",
+    ),
+    (
+        "sway-spectrum",
+        "Frequencies of the sway",
+        sway_spectrum_figure,
+        lambda of: (
+            "Amplitude of the displacement, both axes together, under a Hann window. An estimate "
+            "ends at half the rate of its poses; what is faster appears below, at another "
+            "frequency."
         ),
     ),
     ("nis", "Normalised innovations", nis_figure, _nis_caption),

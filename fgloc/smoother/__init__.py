@@ -46,11 +46,18 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
     if is_cooperative(drive):
         result = replace(run_cooperative(drive, config), config=_provenance(config))
     else:
-        result = run(drive, config)
+        result = (run if drive.has_vehicle else _posts)(drive, config)
     wall_s = time.perf_counter() - began
     duration_s = result.summary["duration_s"]
     result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
     return result
+
+
+def _posts(drive: Drive, config: SmoothConfig) -> Result:
+    """A drive without a vehicle, whose posts alone are estimated."""
+    from fgloc.smoother.posts import smooth_posts
+
+    return smooth_posts(drive, config, _method(config))
 
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:
@@ -113,7 +120,7 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
 def _summary(model: Model, factors: int) -> dict[str, Any]:
     return {
         "drive": model.drive.name,
-        "method": next(m for m, mode in METHODS.items() if mode == model.config.mode),
+        "method": _method(model.config),
         "mode": model.config.mode,
         "duration_s": float(model.t_s[-1]),
         "states": len(model),
@@ -123,6 +130,10 @@ def _summary(model: Model, factors: int) -> dict[str, Any]:
         **({"vehicle": found} if (found := model.car.summary()) else {}),
         "origin": asdict(model.drive.origin),
     }
+
+
+def _method(config: SmoothConfig) -> str:
+    return next(method for method, mode in METHODS.items() if mode == config.mode)
 
 
 def _provenance(config: SmoothConfig) -> dict[str, Any]:

@@ -12,15 +12,17 @@ from fgloc.datasets.drive_tables import check_covariances
 from fgloc.drive import Drive, GnssBias, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.infrastructure import Infrastructure, Node
+from fgloc.infrastructure import Infrastructure, Node, Post
 from fgloc.measurements import (
     EnuVelocities,
     GnssFixes,
     NodeDetections,
+    NodePoses,
     Odometry,
     SteeringAngles,
     WheelSpeeds,
 )
+from fgloc.posts import PostStates
 
 TOML = 'format = 1\nname = "small"\n[origin]\nlat_deg = 50.0\nlon_deg = 8.0\nheight_m = 100.0\n'
 GNSS = (
@@ -67,9 +69,12 @@ def assert_same(a: Drive, b: Drive) -> None:
     for one, other in zip(a.infrastructure.nodes, b.infrastructure.nodes, strict=True):
         assert one.p_world_m.tobytes() == other.p_world_m.tobytes()
         assert {**vars(one), "p_world_m": 0} == {**vars(other), "p_world_m": 0}
+    assert a.infrastructure.posts == b.infrastructure.posts
     assert list(a.tables) == list(b.tables)
     assert all(a.tables[name].same_as(b.tables[name]) for name in a.tables)
     assert (a.truth is None and b.truth is None) or a.truth.same_as(b.truth)
+    sway = (a.post_truth, b.post_truth)
+    assert sway == (None, None) or sway[0].same_as(sway[1])
 
 
 def full_drive() -> Drive:
@@ -97,14 +102,21 @@ def full_drive() -> Drive:
     )
     rig = dataclasses.replace(drive.rig, p_veh_box_m=np.array([1.3, -0.1, 0.8]),
                               gnss_bias=GnssBias(1.3, 60.0))  # fmt: skip
-    drive = dataclasses.replace(drive, rig=rig, truth=truth, infrastructure=two_nodes())
+    drive = dataclasses.replace(drive, rig=rig, truth=truth, infrastructure=two_nodes(),
+                                post_truth=swayed(rng))  # fmt: skip
     return drive.with_tables(gnss=fixes, steering=steering, **roadside(rng))
 
 
 def two_nodes() -> Infrastructure:
     return Infrastructure(
-        (Node("north", np.array([7.13, 62.19, 6.0]), 0.3), Node("s", np.zeros(3), -2, 0.1, 0.01))
+        (Node("north", np.array([7.13, 62.19, 6.0]), 0.3), Node("s", np.zeros(3), -2, 0.1, 0.01)),
+        (Post("s", 10.0, 1.97, 0.05, 20.1, 0.138, 250.0, 0.3),),
     )
+
+
+def swayed(rng: np.random.Generator) -> PostStates:
+    t_ns = 50_000_000 * np.arange(7)
+    return PostStates.truth(t_ns, 1, *rng.standard_normal((3, 7, 2)))
 
 
 def roadside(rng: np.random.Generator, n: int = 5) -> dict:
@@ -117,7 +129,11 @@ def roadside(rng: np.random.Generator, n: int = 5) -> dict:
     )  # fmt: skip
     odometry = Odometry(t_ns, t_ns, *rng.standard_normal((2, n)), *rng.uniform(0.1, 1, (2, n)))
     velocity = EnuVelocities(t_ns, t_ns, rng.standard_normal((n, 3)), rng.uniform(0.1, 1, n))
-    return {"odometry": odometry, "velocity": velocity, "detections": seen}
+    tilt, sigma_tilt = rng.standard_normal((n, 2)), rng.uniform(0.1, 1, (n, 2))
+    tilt[1], sigma_tilt[1] = np.nan, np.nan
+    poses = NodePoses(t_ns, t_ns + 5, np.arange(n) % 2, rng.standard_normal((n, 2)), tilt,
+                      rng.uniform(0.1, 1, (n, 2)), sigma_tilt)  # fmt: skip
+    return {"odometry": odometry, "velocity": velocity, "detections": seen, "node_poses": poses}
 
 
 @pytest.mark.parametrize("parquet", [False, True])
@@ -324,8 +340,8 @@ def test_a_folder_without_tables_is_told(small):
     folder = small()
     (folder / "gnss.csv").unlink()
     tables = (
-        "gnss.csv, imu.csv, wheel.csv, steering.csv, odometry.csv, velocity.csv, detections.csv"
-        ", relative.csv"
+        "gnss.csv, imu.csv, wheel.csv, steering.csv, odometry.csv, velocity.csv, detections.csv, "
+        "relative.csv, node_poses.csv"
     )
     assert fault(folder) == f"small: has none of the tables {tables}"
 

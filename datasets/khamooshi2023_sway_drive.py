@@ -1,0 +1,151 @@
+"""Scenario `khamooshi2023/sway-drive`: a car rounds an oval beside a node whose post sways.
+
+Not a scenario of the thesis, which stops at the pose of the node; it shows what sway does to a car.
+The oval passes the node at 5 m and leads 65 m away from it, to either side. The car has GNSS of a
+stated sigma at 10 Hz and an IMU; the node sees the centre of its box ten times a second, as a
+camera (on the ground, through the pose that is believed) or as a LiDAR (rigidly), and a pose
+estimator watches the post as in `khamooshi2023/sway-low`, under gusts.
+"""
+
+import numpy as np
+
+from fgloc import frames
+from fgloc.datasets.khamooshi2023_sway import (
+    LOW,
+    MOTION_HZ,
+    NODE,
+    ORIGIN,
+    START_NS,
+    check_duration,
+    simulate_poses,
+    simulate_sway,
+)
+from fgloc.datasets.simulator import (
+    Motion,
+    instants,
+    simulate_gnss,
+    simulate_imu,
+    stream,
+    truth_of,
+)
+from fgloc.drive import About, Drive, ImuNoise, Rig
+from fgloc.errors import InputError
+from fgloc.factors.sway import Sensor, reported
+from fgloc.infrastructure import Infrastructure, Node
+from fgloc.measurements import VEHICLE, Array, NodeDetections, Table
+from fgloc.posts import PostStates
+from fgloc.timing import Instants, elapsed_s
+
+NAME = "khamooshi2023/sway-drive"
+SEEN_HZ, IMU_HZ, GNSS_HZ, TRUTH_HZ = 10, 100, 10, 20
+HALF_LENGTH_M, HALF_WIDTH_M, MIDDLE_M, TURN_RADPS = 65.0, 15.0, 20.0, 0.15
+"""The oval: half axes to the East and North, how far to the North of the node its middle is, and
+how fast the car goes round; its speed is 2 to 10 m/s."""
+BOX_SIGMA_M, PIXEL_SIGMA_RAD, RANGE_SIGMA_M = 0.10, 2 / 1144, 0.03
+"""Of a box's centre, of a camera's ray (two pixels of the thesis's focal length), of a range."""
+TILT_NOISE = 10.0
+"""The pose estimator's angles err by about 1 mrad, a pixel of the camera."""
+RIG = Rig(
+    p_veh_ant_m=np.array([1.3, 0.0, 1.5]), p_veh_box_m=np.array([1.3, 0.0, 0.0]),
+    imu_noise=ImuNoise(2e-3, 2e-4, 2e-4, 4e-6, 0.1, 0.005),
+)  # fmt: skip
+_SENSORS = ("camera", "lidar")
+
+
+def make_sway_drive(
+    seed: int = 0, duration_s: float = 84.0, sensor: str = "camera", gnss_sigma_m: float = 1.0,
+    sways: bool = True, poses: bool = True,
+) -> Drive:  # fmt: skip
+    """The drive of a seed; truth of the rear axle at 20 Hz with attitude and velocity.
+
+    sensor        camera or lidar
+    gnss_sigma_m  of the fixes, East and North; twice that up
+    sways         without, the post stands still and all else is as it was, noise included
+    poses         without, nobody watches the post: the detections alone tell of it
+
+    Raises InputError for options that cannot be.
+    """
+    check_duration(duration_s)
+    kind = _sensor(sensor)
+    if not (np.isfinite(gnss_sigma_m) and gnss_sigma_m > 0):
+        raise InputError(f"gnss_sigma_m = {gnss_sigma_m}: expected metres above 0")
+    node = Node(NODE.name, NODE.p_world_m, sensor=kind)
+    t_ns = instants(START_NS, duration_s, MOTION_HZ)
+    post, sway, _ = simulate_sway(LOW, "kaimal", t_ns, stream(seed, "load"))
+    if not sways:
+        sway = PostStates.truth(t_ns, 0, *np.zeros((3, len(t_ns), 2)))
+    motion = oval_motion(instants(START_NS, duration_s, IMU_HZ), 0.0)
+    tables: dict[str, Table] = {
+        "gnss": simulate_gnss(
+            motion.every(IMU_HZ // GNSS_HZ), RIG, np.array([1, 1, 2]) * gnss_sigma_m,
+            stream(seed, "gnss"),
+        ),
+        "imu": simulate_imu(motion, RIG, ORIGIN.gravity_mps2(), stream(seed, "imu")),
+        "detections": simulate_detections(motion, node, sway, stream(seed, "detections")),
+    }  # fmt: skip
+    if poses:
+        rng = stream(seed, "poses")
+        tables["node_poses"] = simulate_poses(sway, LOW, post, TILT_NOISE, rng)
+    about = About(
+        f"Simulated drive past a {kind} on a swaying post, seed {seed}", "MIT",
+        f"fgloc scenario {NAME}, seed {seed}, duration_s {duration_s:g}, sensor {kind}", True,
+    )  # fmt: skip
+    truth = truth_of(motion.every(IMU_HZ // TRUTH_HZ))
+    return Drive(NAME, ORIGIN, RIG, tables, truth, about, Infrastructure((node,), (post,)), sway)
+
+
+def _sensor(name: str) -> Sensor:
+    if name not in _SENSORS:
+        raise InputError(f"sensor = {name!r}: expected one of {', '.join(_SENSORS)}")
+    return "camera" if name == "camera" else "lidar"
+
+
+def oval_motion(t_ns: Instants, phase_rad: float) -> Motion:
+    """Counter-clockwise round the oval, from a place on it; closed formulas of time."""
+    angle = phase_rad + TURN_RADPS * elapsed_s(t_ns, START_NS)
+    sin, cos = np.sin(angle), np.cos(angle)
+    half, w, level = np.array([HALF_LENGTH_M, HALF_WIDTH_M]), TURN_RADPS, np.zeros(len(angle))
+    v = w * half * np.stack([-sin, cos], -1)
+    a = -(w**2) * half * np.stack([cos, sin], -1)
+    jerk = -(w**2) * v
+    speed2 = (v**2).sum(-1)
+    rate = (v[:, 0] * a[:, 1] - v[:, 1] * a[:, 0]) / speed2
+    rate_dot = (v[:, 0] * jerk[:, 1] - v[:, 1] * jerk[:, 0]) / speed2
+    rate_dot -= 2 * rate * (v * a).sum(-1) / speed2
+    p = np.column_stack([HALF_LENGTH_M * cos, MIDDLE_M + HALF_WIDTH_M * sin, level])
+    return Motion(
+        t_ns, p, np.column_stack([v, level]), np.column_stack([a, level]),
+        frames.yaw_matrix(np.arctan2(v[:, 1], v[:, 0])), np.column_stack([level, level, rate]),
+        np.column_stack([level, level, rate_dot]),
+    )  # fmt: skip
+
+
+def simulate_detections(
+    motion: Motion, node: Node, sway: PostStates, rng: np.random.Generator, object_id: int = 0
+) -> NodeDetections:
+    """What the node reports of the box of a car, ten times a second, with white noise.
+
+    `motion` is at `IMU_HZ` and `sway` at `MOTION_HZ`, from one instant on. A camera errs along its
+    ray, the more the further it reaches.
+    """
+    at = motion.every(IMU_HZ // SEEN_HZ)
+    swung = sway.take(slice(None, None, MOTION_HZ // SEEN_HZ))
+    box_m = at.p_world_m + at.R_world_veh @ RIG.p_veh_box_m
+    q_m, height_m = node.from_world(box_m[:, :2]), float(node.p_world_m[2])
+    moved = np.concatenate([swung.p_node_m, swung.tilt_rad], -1)
+    seen = reported(q_m, moved, height_m, node.sensor)[0]
+    cov = detection_cov(seen, height_m, node.sensor)
+    noise = np.einsum("nij,nj->ni", np.linalg.cholesky(cov), rng.standard_normal(seen.shape))
+    first, number, kind = (np.full(len(seen), value) for value in (0, object_id, VEHICLE))
+    return NodeDetections(at.t_ns, at.t_ns, first, number, kind, seen + noise, cov)
+
+
+def detection_cov(seen_m: Array, height_m: float, sensor: Sensor) -> Array:
+    """Covariance (N, 2, 2) that the node states of what it reports at (N, 2), in its axes."""
+    range_m = np.linalg.norm(seen_m, axis=-1)
+    along = seen_m / np.maximum(range_m, 1e-9)[:, None]
+    sigma_m = np.full(len(seen_m), RANGE_SIGMA_M)
+    if sensor == "camera":
+        sigma_m = PIXEL_SIGMA_RAD * height_m * (1 + (range_m / height_m) ** 2)
+    ray = along[:, :, None] * along[:, None, :] * sigma_m[:, None, None] ** 2
+    return np.asarray(BOX_SIGMA_M**2 * np.eye(2) + ray)
