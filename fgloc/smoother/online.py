@@ -95,12 +95,12 @@ class Online:
             self._write_inner(j, interval)
             state, predicted = _predict(interval.pim, self._states[j - 1], self._covs[j - 1])
             factors = model.motion_factors(j, interval.pim)
-        self._states[j] = state
+        self._states[j], self._covs[j] = state, predicted
         new_bias = j == 0 or bool(model.bias_of[j] != model.bias_of[j - 1])
         model.insert(values, j, state, new_bias=new_bias)
         factors += self._car.take_in(j, state, predicted, values, self._tree, aligned=self._aligned)
         more, far = self._positions.take_in(
-            j, rows, values, state.pose, predicted[:6, :6], self._tree, aligned=self._aligned
+            j, rows, values, state.pose, self._covs, self._tree, aligned=self._aligned
         )
         self._harvest(j)
         self._update(j, [*factors, *more], values, EXTRA_UPDATES if far else 0)
@@ -276,8 +276,7 @@ class Online:
         """Take in what arrived after the last keyframe; read what is still to be read."""
         j, values = len(self.model) - 1, gtsam.Values()
         late, _ = self._positions.take_in(
-            j, rows, values, self._states[j].pose, self._covs[j][:6, :6], self._tree,
-            aligned=self._aligned,
+            j, rows, values, self._states[j].pose, self._covs, self._tree, aligned=self._aligned,
         )  # fmt: skip
         self._positions.finish()
         late += self._car.finish(self._tree, aligned=self._aligned)

@@ -19,6 +19,9 @@ from fgloc.timing import Instants
 from fgloc.verdicts import Verdict
 
 
+MOUNTING_S = 1.0
+
+
 class OnlineCar:
     """What of the vehicle's constraints is in the tree."""
 
@@ -36,6 +39,8 @@ class OnlineCar:
         self._speeds: set[int] = set()
         self._still: set[int] = set()
         self._accepted_s = 0.0
+        self._mounting_cov: Array | None = None
+        self._mounting_s = 0.0
 
     def take_in(
         self, j: int, state: State, cov: Array, values: gtsam.Values, tree: WholeTree, *,
@@ -56,14 +61,21 @@ class OnlineCar:
         if self.car.in_force[j]:
             self._enter(j)
             R, bias = state.pose.rotation().matrix(), state.bias.vector()
-            mounting = mounting_covariance(tree.covariance([K(0)]))
-            self.car.note_slip(j, R, v, bias, cov, mounting)
+            self.car.note_slip(j, R, v, bias, cov, self._mounting(j, tree))
             self.car.insert(values, j, state.pose, state.velocity, state.bias)
             factors += self.car.axis_factors(j)
         for key in self._arriving[j]:
             if self._fits(key, j, state, cov, tree):
                 factors += self.car.wheel_factors(key)
         return factors
+
+    def _mounting(self, j: int, tree: WholeTree) -> Array:
+        """The covariance of the mounting, read once in `MOUNTING_S`: it takes long and changes
+        slowly."""
+        if self._mounting_cov is None or self.model.t_s[j] - self._mounting_s >= MOUNTING_S:
+            self._mounting_cov = mounting_covariance(tree.covariance([K(0)]))
+            self._mounting_s = float(self.model.t_s[j])
+        return self._mounting_cov
 
     def finish(self, tree: WholeTree, *, aligned: bool) -> Factors:
         """Factors of the speeds and velocities that came in after the last keyframe."""

@@ -5,6 +5,7 @@ is aligned nothing gates them, and candidates wait for that: what surrounds the 
 """
 
 from bisect import insort
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import gtsam
@@ -61,21 +62,23 @@ class OnlinePositions:
         self._used = np.zeros(len(p), bool)
 
     def take_in(
-        self, j: int, rows: list[int], values: gtsam.Values, pose: gtsam.Pose3, predicted: Array,
-        tree: WholeTree, *, aligned: bool,
+        self, j: int, rows: list[int], values: gtsam.Values, pose: gtsam.Pose3,
+        covs: Mapping[int, Array], tree: WholeTree, *, aligned: bool,
     ) -> tuple[Factors, list[int]]:  # fmt: skip
         """Factors of the rows that are in time and pass the gate, and those of them that lie far.
 
-        `pose` and `predicted` (6, 6), its covariance, are those of keyframe j.
+        `pose` is predicted for keyframe j. `covs` are the covariances of keyframes, pose first, as
+        they were when each was the newest: what came later has only made them smaller, and to read
+        them again for every late row takes as long as to solve.
         """
-        told = []
+        told, at = [], {j: pose}
         for i in rows:
             if self._is_late(i, j, tree):
                 continue
             key = int(self.model.key_of[i])
-            there = pose if key == j else tree.pose(X(key))
-            cov = predicted if key == j else tree.covariance([X(key)])
-            told.append(self._compare(i, there, cov))
+            if key not in at:
+                at[key] = tree.pose(X(key))
+            told.append(self._compare(i, at[key], covs[key][:6, :6]))
         accepted = [one for one in told if not self._is_candidate(one.i)
                     and self._accept_fix(one, aligned=aligned)]  # fmt: skip
         frames: dict[int, list[Told]] = {}
@@ -134,7 +137,9 @@ class OnlinePositions:
         error = pose.transformFrom(model.levers[s]) - p.z_world_m[i]
         S = H @ cov @ H.T + R_own + source.point_sigma_m**2 * np.eye(3)
         S += (source.bias.sigma_m**2 if source.bias else 0.0) * np.eye(3)
-        nis, alone = float(noise.nis(error, S)), float(noise.nis(error, R_own))
+        nis = float(noise.nis(error, S))
+        # What a slow error can take up does not move the state.
+        alone = 0.0 if source.linked else float(noise.nis(error, R_own))
         return Told(i, error, nis, source.gate_nis, alone > source.settings.loss_width**2)
 
     def _note(self, one: Told) -> None:
@@ -200,8 +205,6 @@ class OnlinePositions:
         for i in rows:
             s = int(p.source[i])
             source = model.sources[s]
-            if source.linked:
-                continue  # the slow error may have taken it up: the loss acts on the rest
             pose = tree.pose(X(int(model.key_of[i])))
             error = pose.transformFrom(model.levers[s]) - p.z_world_m[i]
             norm = np.sqrt(noise.nis(error, model.cov_world_m2[i]))
