@@ -18,7 +18,6 @@ from fgloc.smoother.tree import Stamps, WholeTree
 from fgloc.timing import Instants
 from fgloc.verdicts import Verdict
 
-
 MOUNTING_S = 1.0
 
 
