@@ -123,7 +123,7 @@ def of_car(epoch: Epoch, ego: int, tracks: int) -> Information:
         H[:, 4 * track : 4 * track + 2] = np.eye(2)
         found.y[:] += H.T @ W @ ray
         found.S[:] += H.T @ W @ H
-        found.seen[track] = True
+        found.seen[[track, ego]] = True  # the car too: without a place of its own it is anywhere
     return found
 
 

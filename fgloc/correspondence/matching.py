@@ -111,6 +111,11 @@ def _search(world: Array, veh: Array, variance: Array, reach_m: float) -> _Poses
         some = cells[row : row + _AT_ONCE]
         if bound.flat[some[0]] < largest:
             break
+        yaw, t, gate = _begin(some, bound.shape, world, veh, reach_m)
+        near = _squares(yaw, t, world, veh).min(-1) < gate
+        some = some[near.sum(-1) >= largest]
+        if not len(some):
+            continue
         parts.append(_refine(some, bound.shape, world, veh, variance, reach_m))
         largest = max(int(parts[-1].consistent.max()), largest)
     names = ("yaw_rad", "t_m", "score", "accepted", "consistent")
@@ -143,12 +148,7 @@ def _refine(
     cells: Index, shape: tuple[int, ...], world: Array, veh: Array, variance: Array, reach_m: float
 ) -> _Poses:
     """Hypotheses drawn to the nearest set of pairs, by least squares over pairs that are mutual."""
-    own, theirs, bin_ = np.unravel_index(cells, shape)
-    yaw: Array = np.asarray((bin_ + 0.5) * BIN_RAD, np.float64)
-    t = world[theirs] - _turned(veh[own], yaw)
-    # The heading may be off by a bin's half, the anchor by the noise of both its points.
-    arm_m = np.linalg.norm(veh[None] - veh[own][:, None], axis=-1)
-    gate: Array = (2 * reach_m + 0.03 * arm_m) ** 2
+    yaw, t, gate = _begin(cells, shape, world, veh, reach_m)
     for _ in range(_ROUNDS):
         partner, squares = _mutual(yaw, t, world, veh)
         yaw, t = _fit(partner, squares < gate, world, veh, variance, yaw, t)
@@ -163,6 +163,18 @@ def _refine(
     return _Poses(yaw, t, score, accepted.sum(-1), fine.sum(-1))
 
 
+def _begin(
+    cells: Index, shape: tuple[int, ...], world: Array, veh: Array, reach_m: float
+) -> tuple[Array, Array, Array]:
+    """Headings (H,), positions (H, 2) and squared gates (H, M) with which cells begin."""
+    own, theirs, bin_ = np.unravel_index(cells, shape)
+    yaw = np.asarray((bin_ + 0.5) * BIN_RAD, np.float64)
+    # The heading may be off by a bin's half, the anchor by the noise of both its points.
+    arm_m = np.linalg.norm(veh[None] - veh[own][:, None], axis=-1)
+    gate = np.asarray((2 * reach_m + 0.03 * arm_m) ** 2)
+    return yaw, world[theirs] - _turned(veh[own], yaw), gate
+
+
 def _residuals(
     partner: Index, used: Any, world: Array, veh: Array, variance: Array, yaw: Array, t: Array
 ) -> tuple[Array, Array]:
@@ -174,14 +186,19 @@ def _residuals(
 
 def _mutual(yaw: Array, t: Array, world: Array, veh: Array) -> tuple[Index, Array]:
     """(H, M) nearest of the node's points, and its squared distance, infinite if not mutual."""
-    moved = _moved(yaw, t, veh)
-    dx = moved[..., 0, None] - world[:, 0]
-    dy = moved[..., 1, None] - world[:, 1]
-    squares = dx * dx + dy * dy
+    squares = _squares(yaw, t, world, veh)
     partner = squares.argmin(-1)
     back = np.take_along_axis(squares.argmin(-2), partner, -1)
     least = np.take_along_axis(squares, partner[..., None], -1)[..., 0]
     return partner, np.where(back == np.arange(len(veh)), least, np.inf)
+
+
+def _squares(yaw: Array, t: Array, world: Array, veh: Array) -> Array:
+    """(H, M, N) squared distances of the car's points, under each pose, to the node's."""
+    moved = _moved(yaw, t, veh)
+    dx = moved[..., 0, None] - world[:, 0]
+    dy = moved[..., 1, None] - world[:, 1]
+    return np.asarray(dx * dx + dy * dy)
 
 
 def _fit(

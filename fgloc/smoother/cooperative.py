@@ -2,7 +2,7 @@
 
 The car and all road users that nodes and the car see; see `cooperative_model`. What the car tells
 of others is linear only about a heading: online about the last estimate, in a batch about its own
-answer, again and again.
+answer, again and again. A batch also asks again which track a node's sighting is of.
 """
 
 import math
@@ -28,8 +28,10 @@ from fgloc.smoother.cooperative_model import (
 )
 from fgloc.verdicts import Verdict
 
-ROUNDS = 3
-"""Of a batch: each is linearised about the headings of the one before."""
+ROUNDS, STILL_RAD = 8, 1e-3
+"""Of a batch: each is linearised about the headings of the one before, until none turns further."""
+FAR_BETTER = 50.0
+"""Sightings of one frame go to other tracks where the sum of their squares falls by so much."""
 _NAMES = {"batch": "graph-batch", "incremental": "graph-incremental", "fixed-lag": "graph-lag"}
 _FOREVER_S = 1e9
 
@@ -104,8 +106,13 @@ def _batch(
             alive.append(sorted(builder.last))
         delta = graph.linearize(builder.zeros).optimize()
         known = [k for k in range(len(alive)) if builder.zeros.exists(heading_key(k))]
+        turned = 0.0
         for k in known:
-            headings[k] = float(delta.at(heading_key(k))[0])
+            heading = float(delta.at(heading_key(k))[0])
+            turned, headings[k] = max(turned, abs(heading - headings[k])), heading
+        revised = _revise(found, alive, delta)
+        if turned < STILL_RAD and not revised:
+            break
     marginals = gtsam.Marginals(graph, builder.zeros.retract(delta))
     for k, tracks in enumerate(alive):
         for track in tracks:
@@ -115,6 +122,32 @@ def _batch(
         variance = float(marginals.marginalCovariance(heading_key(k))[0, 0])
         beliefs.yaw[k] = (wrapped(headings[k]), variance)
     return builder.factors, {i: delta.at(survey_key(i)) for i in builder.survey}
+
+
+def _revise(found: Epochs, alive: list[list[int]], delta: gtsam.VectorValues) -> bool:
+    """Give sightings of nodes to the tracks on which they fall, where that is far better.
+
+    Whether any went to another.
+
+    A node that mixes up two numbers for a moment shows only against the whole drive.
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    revised = False
+    for k, epoch in enumerate(found.epochs):
+        tracks = np.array(alive[k])
+        place = np.array([delta.at(state_key(int(track), k))[:2] for track in tracks])
+        for node in np.unique(epoch.node):
+            rows = np.flatnonzero(epoch.node == node)
+            gap = epoch.z_m[rows][:, None] - place
+            W = np.linalg.inv(epoch.R_m2[rows])
+            cost = np.einsum("nti,nij,ntj->nt", gap, W, gap)
+            own, theirs = linear_sum_assignment(cost)
+            now = cost[np.arange(len(rows)), np.searchsorted(tracks, epoch.track[rows])]
+            if cost[own, theirs].sum() < now.sum() - FAR_BETTER:
+                epoch.track[rows[own]] = tracks[theirs]
+                revised = True
+    return revised
 
 
 def _online(

@@ -226,4 +226,15 @@ def test_a_car_that_cannot_be_found_is_an_error():
     with pytest.raises(DriveError, match="never found"):
         baselines.run(dataclasses.replace(drive, tables=tables), "khamooshi2023-kcf")
     with pytest.raises(DriveError, match="nothing that takes part places the car"):
-        baselines.run(scenario("correspondence", 0), "khamooshi2023-kcf:onboard")
+        run_sources(scenario("correspondence", 0), Sources(car=False, nodes=()))
+
+
+def test_without_fixes_the_car_alone_does_not_claim_to_know_where_anything_is():
+    drive = scenario("correspondence", 5)
+    alone = baselines.run(drive, "khamooshi2023-kcf:onboard")
+    assert alone.trajectory.cov[:, 0, 0].min() > 100**2
+    assert alone.objects.cov[:, 0, 0].min() > 100**2
+    joined = baselines.run(drive, "covariance-intersection")
+    rmse = [np.sqrt((e**2).sum(-1).mean()) for _, e, _ in
+            errors_by_object(joined.objects, drive.objects).values()]  # fmt: skip
+    assert max(rmse) < 0.8

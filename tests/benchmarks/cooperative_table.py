@@ -97,6 +97,9 @@ def show(method: str, rows: dict, all_ratios: dict) -> None:
     """A line: each road user's RMSE, ANEES, ratio and its upper limit; then what is special."""
     cells, extra = [], ""
     for name in rows[method][0]:
+        if any(name not in seed for seed in (*rows[method], *rows[AGAINST])):
+            cells.append(f"{name}: not followed in all seeds")
+            continue
         squares = [seed[name][0] for seed in rows[method]]
         nees = np.mean([seed[name][1].mean() for seed in rows[method]])
         text = f"{name}: {np.sqrt(np.mean([s.mean() for s in squares])):.3f} ({nees:.2f})"

@@ -17,7 +17,7 @@ from fgloc.infrastructure import Node
 from fgloc.smoother.cooperative import new_tree
 from fgloc.smoother.cooperative_model import Builder, state_key
 
-LAG_S, STEPS, SIGMA_M = 5.0, 100, 0.3
+LAG_S, STEPS, SIGMA_M = 5.0, 70, 0.3
 SEEN_BY_CAR = 20
 
 

@@ -156,6 +156,19 @@ def test_all_measurements_are_judged_and_all_road_users_told(mode):
     assert result.method == ("graph-batch" if mode == "batch" else "graph-lag")
 
 
+def test_numbers_that_a_node_mixes_up_for_a_moment_are_put_right_by_the_batch():
+    drive = scenario("intersection", 2)
+    seen = drive.tables["detections"]
+    mixed = (seen.t_ns == drive.start_ns + 3_000_000_000) & (seen.kind == 1)
+    number = seen.object_id.copy()
+    number[mixed] = number[mixed][::-1]
+    wrong = drive.with_tables(detections=dataclasses.replace(seen, object_id=number))
+    right, put_right = (fgloc.smooth(d, mode="batch") for d in (drive, wrong))
+    assert put_right.trajectory.p_world_m == pytest.approx(right.trajectory.p_world_m, abs=0.02)
+    filtered = fgloc.smooth(wrong, mode="fixed-lag")
+    assert np.abs(errors_m(filtered, drive)).max() > 1
+
+
 def epoch(t_ns, *places):
     n = len(places)
     return Epoch(
