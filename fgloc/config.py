@@ -209,6 +209,9 @@ class SolverConfig(Section):
 class PostsConfig(Section):
     """Swaying posts of a drive that has poses of nodes."""
 
+    compensate: bool = True
+    """Take the sway back from what the nodes report of vehicles."""
+
     estimate_mode: bool = False
     """Seek frequency, damping and load of each post where its poses are likeliest, instead of
     taking what the drive states; a search over the whole drive, so for a batch alone."""

@@ -126,7 +126,7 @@ def result(
     config: Mapping[str, Any] | None = None,
 ) -> Result:  # fmt: skip
     """The result of a method that estimates posts and no vehicle."""
-    posts = _together(tables)
+    posts = together(tables)
     summary = {
         "drive": drive.name, "method": method, "mode": mode, "states": len(posts),
         "factors": factors, "counts": counts(verdicts), "origin": asdict(drive.origin),
@@ -139,8 +139,8 @@ def result(
     )
 
 
-def _together(tables: Sequence[PostStates]) -> PostStates:
-    """Tables of several posts as one, in the order of time."""
+def together(tables: Sequence[PostStates]) -> PostStates:
+    """Tables of several posts, one or more, as one, in the order of time."""
     columns = {
         name: np.concatenate([vars(one)[name] for one in tables]) for name in vars(tables[0])
     }

@@ -13,7 +13,9 @@ from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
+from fgloc.smoother.posts import smooth_posts
 from fgloc.smoother.roadside import roadside
+from fgloc.smoother.steady import steadied
 from fgloc.sync import plan
 from fgloc.verdicts import counts
 
@@ -42,22 +44,25 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
     be solved.
     """
     began = time.perf_counter()
-    run = _batch if config.mode == "batch" else _online
     if is_cooperative(drive):
         result = replace(run_cooperative(drive, config), config=_provenance(config))
+    elif drive.has_vehicle:
+        result = _vehicle(drive, config)
     else:
-        result = (run if drive.has_vehicle else _posts)(drive, config)
+        result = smooth_posts(drive, config, _method(config))
     wall_s = time.perf_counter() - began
     duration_s = result.summary["duration_s"]
     result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
     return result
 
 
-def _posts(drive: Drive, config: SmoothConfig) -> Result:
-    """A drive without a vehicle, whose posts alone are estimated."""
-    from fgloc.smoother.posts import smooth_posts
-
-    return smooth_posts(drive, config, _method(config))
+def _vehicle(drive: Drive, config: SmoothConfig) -> Result:
+    """A drive with a vehicle; what its nodes saw while they swayed is put right first."""
+    run = _batch if config.mode == "batch" else _online
+    steady = steadied(drive, config)
+    if steady is None:
+        return run(drive, config)
+    return steady.completed(run(steady.drive, config))
 
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:

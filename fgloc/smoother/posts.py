@@ -1,8 +1,7 @@
 """Posts that sway, as a graph of their own: a chain of states, the wind as its noise, poses on it.
 
 All factors are linear in vector states (`fgloc.factors.post`), so GTSAM solves a whole drive in one
-step and iSAM2 never relinearises. Where a drive has vehicles as well, the same chain and factors
-stand in their graph.
+step and iSAM2 never relinearises. Where a drive has vehicles as well, see `steady`.
 """
 
 from collections.abc import Callable
@@ -16,7 +15,6 @@ from fgloc.errors import InputError, SolverError
 from fgloc.factors.noise import nis
 from fgloc.factors.post import pose_factor, pose_jacobian, rest_factor, sway_factor
 from fgloc.measurements import Array
-from fgloc.posts import PostStates
 from fgloc.result import Result
 from fgloc.smoother.post_modes import with_modes
 from fgloc.sway import SOURCE, Watch, post_states, result, watches
@@ -42,12 +40,8 @@ def smooth_posts(drive: Drive, config: SmoothConfig, method: str) -> Result:
     extra = {}
     if config.posts.estimate_mode:
         found, extra["posts_sought"] = with_modes(found)
-    solve = _batch if config.mode == "batch" else _online(config)
-    tables: list[PostStates] = []
-    for watch in found:
-        estimate = _solved(solve, watch)
-        _judge(watch, estimate, verdicts[SOURCE], config.mode)
-        tables.append(post_states(watch, *estimate))
+    judged = verdicts[SOURCE]
+    tables = [post_states(watch, *estimated(watch, config, judged)) for watch in found]
     factors = sum(len(watch.rows) + len(watch.t_ns) for watch in found)
     return result(
         drive, method, tables, verdicts, causal=config.mode != "batch", mode=config.mode,
@@ -66,11 +60,15 @@ def factors_of(watch: Watch, k: int) -> list[gtsam.NonlinearFactor]:
     return [chain, *told]
 
 
-def _solved(solve: Callable[[Watch], Estimate], watch: Watch) -> Estimate:
+def estimated(watch: Watch, config: SmoothConfig, judged: SourceVerdicts) -> Estimate:
+    """The states of one post, as the mode says; its rows get their NIS. SolverError as above."""
+    solve = _batch if config.mode == "batch" else _online(config)
     try:
-        return solve(watch)
+        estimate = solve(watch)
     except RuntimeError as err:
         raise SolverError(f"the post of node {watch.name!r} cannot be solved: {err}") from err
+    _judge(watch, estimate, judged)
+    return estimate
 
 
 def _batch(watch: Watch) -> Estimate:
@@ -116,7 +114,7 @@ def _added(
     return smoother.calculateEstimateVector(_key(k)), smoother.marginalCovariance(_key(k))
 
 
-def _judge(watch: Watch, estimate: Estimate, judged: SourceVerdicts, mode: str) -> None:
+def _judge(watch: Watch, estimate: Estimate, judged: SourceVerdicts) -> None:
     """NIS of every row against what is known without it.
 
     An estimate that holds a measurement gives it back: with the residual r, of covariance
