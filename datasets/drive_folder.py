@@ -11,11 +11,14 @@ from pathlib import Path
 from fgloc.datasets.columns import Columns, Layout
 from fgloc.datasets.drive_tables import (
     LAYOUTS,
+    OBJECTS,
     detections_from_columns,
     gnss_from_columns,
     imu_from_columns,
+    objects_from_columns,
     odometry_from_columns,
     origin_from_first_fix,
+    relative_from_columns,
     steering_from_columns,
     table_to_columns,
     velocity_from_columns,
@@ -39,12 +42,12 @@ from fgloc.drive import Drive
 from fgloc.errors import DriveError, InputError, nearest
 from fgloc.frames import Origin
 from fgloc.infrastructure import Infrastructure
-from fgloc.measurements import Table
+from fgloc.measurements import ObjectTruth, Table
 from fgloc.posts import PostStates
 from fgloc.trajectory import Trajectory
 
-_TRUTHS = {"truth": TRUTH, "post_truth": POST_TRUTH}
-_STEMS = (*LAYOUTS, *_TRUTHS)
+_OTHER_LAYOUTS = {"truth": TRUTH, "objects": OBJECTS, "post_truth": POST_TRUTH}
+_STEMS = (*LAYOUTS, *_OTHER_LAYOUTS)
 _SUFFIXES = (".csv", ".parquet")
 
 
@@ -79,6 +82,7 @@ def read_drive(folder: str | Path) -> Drive:
         _truth(folder, about, files, columns, origin),
         to_about(about.about),
         infrastructure,
+        _objects(files, columns),
         _post_truth(files, columns, infrastructure),
     )
 
@@ -118,12 +122,23 @@ def salvage_drive(folder: str | Path) -> tuple[Drive | None, dict[str, InputErro
     if "truth" not in faults:
         with _kept(faults, "truth"):
             truth = _truth(folder, about, files, columns, origin)
-    post_truth = None
+    objects = post_truth = None
+    if "objects" not in faults:
+        with _kept(faults, "objects"):
+            objects = _objects(files, columns)
     if "post_truth" not in faults:
         with _kept(faults, "post_truth"):
             post_truth = _post_truth(files, columns, infrastructure)
     drive = Drive(
-        about.name, origin, rig, tables, truth, to_about(about.about), infrastructure, post_truth
+        about.name,
+        origin,
+        rig,
+        tables,
+        truth,
+        to_about(about.about),
+        infrastructure,
+        objects,
+        post_truth,
     )
     return (drive if tables else None), faults
 
@@ -172,6 +187,8 @@ def _contents(drive: Drive) -> dict[str, Columns]:
         if not len(table):
             raise DriveError(f"drive {drive.name!r}: table {name} has no rows; leave it out")
         contents[name] = table_to_columns(table)
+    if drive.objects is not None:
+        contents["objects"] = table_to_columns(drive.objects)
     if drive.truth is not None:
         contents["truth"] = trajectory_to_columns(drive.truth, exact_attitude=True)
     if drive.post_truth is not None:
@@ -228,7 +245,7 @@ def _table_files(folder: Path) -> dict[str, Path]:
 
 
 def _layout(stem: str) -> Layout:
-    return LAYOUTS.get(stem) or _TRUTHS[stem]
+    return {**LAYOUTS, **_OTHER_LAYOUTS}[stem]
 
 
 def _origin(
@@ -253,8 +270,15 @@ def _table(
     readers = {
         "imu": imu_from_columns, "wheel": wheel_from_columns, "steering": steering_from_columns,
         "odometry": odometry_from_columns, "velocity": velocity_from_columns,
+        "relative": relative_from_columns,
     }  # fmt: skip
     return readers[stem](path, columns)
+
+
+def _objects(files: dict[str, Path], columns: dict[str, Columns]) -> ObjectTruth | None:
+    if "objects" not in files:
+        return None
+    return objects_from_columns(files["objects"], columns["objects"])
 
 
 def _truth(

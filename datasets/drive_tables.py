@@ -29,7 +29,9 @@ from fgloc.measurements import (
     ImuSamples,
     NodeDetections,
     NodePoses,
+    ObjectTruth,
     Odometry,
+    RelativeSightings,
     SteeringAngles,
     Table,
     WheelSpeeds,
@@ -44,6 +46,7 @@ RATES = ("speed_mps", "yaw_rate_radps", "sigma_speed_mps", "sigma_yaw_rate_radps
 NAMES = ("node", "object_id", "kind")
 SEEN, SEEN_WORLD = ("x_m", "y_m"), ("east_m", "north_m")
 SEEN_COVARIANCE = ("cov_xx_m2", "cov_xy_m2", "cov_yy_m2")
+PLANE_VELOCITY = ("v_east_mps", "v_north_mps")
 
 _TIME = (Group.of("t_ns"), Group.of("received_ns", required=False))
 LAYOUTS = {
@@ -68,9 +71,15 @@ LAYOUTS = {
             Group.of(*SEEN_COVARIANCE, required=False, may_be_empty=True),
         )
     ),
+    "relative": Layout((*_TIME, Group.of(*NAMES[1:]), Group.of(*SEEN), Group.of(*SEEN_COVARIANCE))),
     "node_poses": POSES,
 }
 """Columns of each kind of table. `received_ns` left out means: received when it was true."""
+
+OBJECTS = Layout(
+    (Group.of("t_ns"), Group.of("object_id"), Group.of(*SEEN_WORLD), Group.of(*PLANE_VELOCITY))
+)
+"""Columns of `objects`, the truth of other road users."""
 
 _SYMMETRY_TOLERANCE = 1e-9
 
@@ -94,6 +103,13 @@ def table_to_columns(table: Table) -> Columns:
         return columns | unstack(VELOCITY, table.v_world_mps) | {"sigma_mps": table.sigma_mps}
     if isinstance(table, NodeDetections):
         return columns | _detection_columns(table)
+    if isinstance(table, RelativeSightings):
+        columns |= {name: getattr(table, name) for name in NAMES[1:]}
+        columns |= unstack(SEEN, table.p_veh_m)
+        return columns | unstack(SEEN_COVARIANCE, table.cov_veh_m2[:, *np.triu_indices(2)])
+    if isinstance(table, ObjectTruth):
+        columns |= {"object_id": table.object_id} | unstack(SEEN_WORLD, table.p_world_m)
+        return columns | unstack(PLANE_VELOCITY, table.v_world_mps)
     if isinstance(table, NodePoses):
         return columns | pose_columns(table)
     raise DriveError(f"a drive folder has no file for a table of kind {table.KIND!r}")
@@ -188,6 +204,24 @@ def detections_from_columns(
     node, object_id, kind = (columns[name] for name in NAMES)
     seen, cov = _seen(columns, infrastructure), _seen_covariance(path, columns)
     return NodeDetections(*_times(columns), node, object_id, kind, seen, cov)
+
+
+def relative_from_columns(path: Path, columns: Columns) -> RelativeSightings:
+    """The vehicle's own sightings of a table read from `path`.
+
+    Raises DriveError naming the first row whose covariance cannot be one.
+    """
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    object_id, kind = (columns[name] for name in NAMES[1:])
+    cov = _seen_covariance(path, columns)
+    return RelativeSightings(*_times(columns), object_id, kind, stack(columns, SEEN), cov)
+
+
+def objects_from_columns(path: Path, columns: Columns) -> ObjectTruth:
+    """Truth of other road users of a table read from `path`; DriveError where time goes back."""
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    p, v = stack(columns, SEEN_WORLD), stack(columns, PLANE_VELOCITY)
+    return ObjectTruth(*_times(columns), columns["object_id"], p, v)
 
 
 def _seen(columns: Columns, infrastructure: Infrastructure) -> Array:

@@ -92,7 +92,7 @@ def _make(
     )
     return Drive(
         name, ORIGIN, Rig(), {"node_poses": poses}, None, About(title, "MIT", source, True),
-        Infrastructure((NODE,), (post,)), truth,
+        Infrastructure((NODE,), (post,)), post_truth=truth,
     )  # fmt: skip
 
 

@@ -91,7 +91,8 @@ def make_sway_drive(
         f"fgloc scenario {NAME}, seed {seed}, duration_s {duration_s:g}, sensor {kind}", True,
     )  # fmt: skip
     truth = truth_of(motion.every(IMU_HZ // TRUTH_HZ))
-    return Drive(NAME, ORIGIN, RIG, tables, truth, about, Infrastructure((node,), (post,)), sway)
+    beside = Infrastructure((node,), (post,))
+    return Drive(NAME, ORIGIN, RIG, tables, truth, about, beside, post_truth=sway)
 
 
 def _sensor(name: str) -> Sensor:

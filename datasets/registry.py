@@ -39,6 +39,35 @@ _INFOS = (
         "plain simulated drive: GNSS 10 Hz, IMU 100 Hz, wheel speed 50 Hz; option duration_s",
     ),
     DatasetInfo(
+        "khamooshi2023/one-node", "scenario", 4.0, ("detections", "gnss", "relative"), "MIT",
+        "one node, the ego car at 20 m/s, another at 50 m/s",
+    ),
+    DatasetInfo(
+        "khamooshi2023/two-nodes", "scenario", 2.4, ("detections", "gnss", "relative"), "MIT",
+        "two nodes 40 m apart, two cars at 30 m/s",
+    ),
+    DatasetInfo(
+        "khamooshi2023/acceleration", "scenario", 4.0, ("detections", "gnss", "relative"), "MIT",
+        "one node; a car at 10 m/s^2 from rest, another braking",
+    ),
+    DatasetInfo(
+        "khamooshi2023/correspondence", "scenario", 4.0, ("detections", "relative"), "MIT",
+        "five objects under any heading, one node, no fixes",
+    ),
+    DatasetInfo(
+        "khamooshi2023/intersection", "scenario", 10.0, ("detections", "gnss", "relative"), "MIT",
+        "bus, car and pedestrian; the car is hidden for a while",
+    ),
+    DatasetInfo(
+        "khamooshi2023/constant-velocity", "scenario", 4.0, ("detections", "odometry"), "MIT",
+        "a car from one node to another; a camera and a LiDAR on each",
+    ),
+    DatasetInfo(
+        "khamooshi2023/right-turn", "scenario", 7.1,
+        ("detections", "odometry", "gnss", "velocity"), "MIT",
+        "a right turn at 10 m/s past a node; the car has GNSS/INS",
+    ),
+    DatasetInfo(
         "lee2021/mcity", "scenario", 300.0, ("gnss", "imu", "velocity", "detections"), "MIT",
         "three passes by a roadside node (Lee et al. 2021); options errors, latency_s",
     ),
@@ -117,6 +146,13 @@ _IMPORTERS = {
 _SCENARIOS = {
     "city": "city.make_city",
     "lee2021/mcity": "lee2021.make_lee2021_mcity",
+    "khamooshi2023/constant-velocity": "khamooshi2023_node.make_constant_velocity",
+    "khamooshi2023/one-node": "khamooshi2023_cooperative.make_one_node",
+    "khamooshi2023/two-nodes": "khamooshi2023_cooperative.make_two_nodes",
+    "khamooshi2023/acceleration": "khamooshi2023_cooperative.make_acceleration",
+    "khamooshi2023/correspondence": "khamooshi2023_cooperative.make_correspondence",
+    "khamooshi2023/intersection": "khamooshi2023_cooperative.make_intersection",
+    "khamooshi2023/right-turn": "khamooshi2023_node.make_right_turn",
     "khamooshi2023/sway-low": "khamooshi2023_sway.make_sway_low",
     "khamooshi2023/sway-drive": "khamooshi2023_sway_drive.make_sway_drive",
     "khamooshi2023/sway-high": "khamooshi2023_sway.make_sway_high",

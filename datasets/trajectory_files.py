@@ -1,5 +1,6 @@
 """Trajectories as files: TUM for other tools, CSV with everything, GeoJSON for maps."""
 
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -63,9 +64,9 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
         q = matrix_to_quat_xyzw(trajectory.R_world_veh)
     stamps = map(ns_to_decimal, trajectory.t_ns.tolist())
     parts = format_rows([*trajectory.p_world_m.T, *q.T], " ")
-    rows = (row for part in parts for row in part.splitlines())
-    lines = [f"{t} {row}\n" for t, row in zip(stamps, rows, strict=True)]
-    Path(path).write_text("".join(lines), encoding="utf-8", newline="\n")
+    rows = chain.from_iterable(part.splitlines(keepends=True) for part in parts)
+    with Path(path).open("w", encoding="utf-8", newline="\n") as file:
+        file.writelines(f"{t} {row}" for t, row in zip(stamps, rows, strict=True))
 
 
 def read_tum(path: str | Path) -> Trajectory:

@@ -143,6 +143,11 @@ def read_calibration(value: gtsam.imuBias.ConstantBias) -> Array:
     return np.array([pitch, yaw, 1 - value.accelerometer()[0]])
 
 
+def mounting_covariance(cov: Array) -> Array:
+    """(2, 2) in rad^2 of the pitch and yaw of the mounting, from the covariance (6, 6) of K(0)."""
+    return MOUNTING_S**2 * cov[4:, 4:]
+
+
 def car_pose(pose: gtsam.Pose3, point_mps: Array, turn_rad: ArrayLike) -> gtsam.Pose3:
     """Where the ties of Y(j) want it, from X(j), W(j) and the turn (2,)."""
     import gtsam

@@ -187,10 +187,11 @@ def compare(
 ) -> Comparison:
     """Drives through methods: metrics of each, and differences to the first method, paired in time.
 
-    A method is a graph (`graph-batch`, `graph-incremental`, `graph-lag`), a baseline, or a `Method`
-    of your own. `configs` adds, after them, the graph under other configurations by a label of your
-    choice: `{"robust": "robust.toml"}`; each says its own mode. `seeds` repeats drives that are
-    scenarios' names. A method that fails on a drive is a row that says so. Raises InputError for an
+    A method is a graph (`graph-batch`, `graph-incremental`, `graph-lag`; with `:velocity` after it
+    the same without the IMU), a baseline, or a `Method` of your own. `configs` adds, after them,
+    the graph under other configurations by a label of your choice: `{"robust": "robust.toml"}`;
+    each says its own mode. `seeds` repeats drives that are scenarios' names. A method that fails on
+    a drive is a row that says so. Raises InputError for an
     unknown method, a label that is taken or a faulty configuration before anything is run.
     """
     one = isinstance(drives, Drive | str | Path)
@@ -225,10 +226,11 @@ def _method(name: str) -> Method:
     """A method's name with the function that runs it."""
     from fgloc import baselines, smoother
 
-    if name in smoother.METHODS:
-        config = load_config(mode=smoother.METHODS[name])
+    graphs = smoother.methods()
+    if name in graphs:
+        config = load_config(**graphs[name])
         return Method(name, lambda drive: smoother.smooth(drive, config))
-    baselines.check(name, others=tuple(smoother.METHODS))
+    baselines.check(name, others=tuple(graphs))
     return Method(name, lambda drive: baselines.run(drive, name))
 
 
@@ -236,7 +238,7 @@ def _configured(label: str, config: str | Path | SmoothConfig) -> Method:
     """The graph under a configuration, by a label that is no method's name."""
     from fgloc import baselines, smoother
 
-    if not label or label in (*smoother.METHODS, *baselines.available()):
+    if not label or label in (*smoother.methods(), *baselines.available()):
         raise InputError(
             f"the label {label!r} of a configuration is a method's name or empty; choose another"
         )

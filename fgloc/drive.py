@@ -16,6 +16,7 @@ from fgloc.measurements import (
     ImuSamples,
     NodeDetections,
     NodePoses,
+    ObjectTruth,
     Table,
     freeze,
 )
@@ -116,7 +117,8 @@ class About:
 class Drive:
     """One recorded or simulated drive; `tables` maps the source's name to its table.
 
-    `truth` is that of the vehicle, `post_truth` tells how the posts beside the road swayed.
+    `truth` is that of the vehicle, `objects` of other road users, `post_truth` tells how the posts
+    beside the road swayed.
     """
 
     name: str
@@ -126,6 +128,7 @@ class Drive:
     truth: Trajectory | None = None
     about: About = About()
     infrastructure: Infrastructure = field(default_factory=Infrastructure)
+    objects: ObjectTruth | None = None
     post_truth: PostStates | None = None
 
     def __post_init__(self) -> None:

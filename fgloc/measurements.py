@@ -16,6 +16,10 @@ from fgloc.timing import Instants
 Array = NDArray[np.float64]
 
 
+SYMMETRIC = 1e-6
+"""Triangles of a covariance may differ by this share of its largest variance, as rounding does."""
+
+
 def freeze(array: Any, dtype: type = np.float64) -> NDArray[Any]:
     """A read-only array; what somebody else could still change is copied."""
     result: NDArray[Any] = np.asarray(array, dtype)
@@ -91,6 +95,22 @@ class Table:
         )  # fmt: skip
 
 
+def check_symmetric(kind: str, cov_m2: Array) -> None:
+    """Raise DriveError at the first of finite covariances (N, m, m) that is not symmetric: solvers
+    read one triangle alone."""
+    told = np.asarray(np.isfinite(cov_m2).all((1, 2)))
+    cov = np.where(told[:, None, None], cov_m2, 0.0)
+    size = np.diagonal(cov, axis1=1, axis2=2).max(-1, initial=0.0)
+    apart = np.abs(cov - cov.swapaxes(1, 2)).max((1, 2), initial=0.0)
+    skew = np.flatnonzero(apart > SYMMETRIC * size)
+    if len(skew):
+        row = int(skew[0])
+        raise DriveError(
+            f"{kind} row {row}: the covariance {cov[row].tolist()} m^2 is not symmetric; write "
+            "each covariance of two axes twice, at both places"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class GnssFixes(Table):
     """Antenna positions: ENU m (N, 3), covariance ENU m^2 (N, 3, 3), velocity ENU m/s (N, 3).
@@ -104,6 +124,10 @@ class GnssFixes(Table):
 
     KIND = "gnss"
     SHAPES: ClassVar = {"p_world_ant_m": (3,), "cov_world_m2": (3, 3), "v_world_mps": (3,)}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_symmetric(self.KIND, self.cov_world_m2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,6 +227,62 @@ class NodeDetections(Table):
 
 
 @dataclass(frozen=True, eq=False)
+class RelativeSightings(Table):
+    """Objects as the vehicle itself sees them, along its own axes.
+
+    object_id    (N,) the number that the vehicle gave the object; nodes have numbers of their own
+    kind         (N,) `UNKNOWN`, `VEHICLE` or `PEDESTRIAN`
+    p_veh_m      (N, 2) forward and left of the vehicle origin, m
+    cov_veh_m2   (N, 2, 2) its covariance in these axes
+    """
+
+    object_id: NDArray[np.int64]
+    kind: NDArray[np.int64]
+    p_veh_m: Array
+    cov_veh_m2: Array
+
+    KIND = "relative"
+    WHOLE = frozenset({"object_id", "kind"})
+    SHAPES: ClassVar = {"object_id": (), "kind": (), "p_veh_m": (2,), "cov_veh_m2": (2, 2)}
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectTruth(Table):
+    """Where other road users really were; no measurement, and no estimator sees it.
+
+    object_id    (N,) number of the road user
+    p_world_m    (N, 2) its place, East and North, m
+    v_world_mps  (N, 2) its velocity
+    """
+
+    object_id: NDArray[np.int64]
+    p_world_m: Array
+    v_world_mps: Array
+
+    KIND = "objects"
+    WHOLE = frozenset({"object_id"})
+    SHAPES: ClassVar = {"object_id": (), "p_world_m": (2,), "v_world_mps": (2,)}
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectTracks(Table):
+    """What a method says of other road users.
+
+    track_id    (N,) number of the track, from 0 in the order of birth
+    state       (N, 4) East and North in m, velocity East and North in m/s
+    cov         (N, 4, 4) its covariance
+    """
+
+    track_id: NDArray[np.int64]
+    state: Array
+    cov: Array
+
+    KIND = "tracks"
+    WHOLE = frozenset({"track_id"})
+    SHAPES: ClassVar = {"track_id": (), "state": (4,), "cov": (4, 4)}
+
+
+@dataclass(frozen=True, eq=False)
 class NodePoses(Table):
     """How far a node on a swaying post is from where it was surveyed, as a pose estimator sees it.
 
@@ -230,6 +310,7 @@ TABLES: dict[str, type[Table]] = {
     cls.KIND: cls
     for cls in (
         GnssFixes, ImuSamples, WheelSpeeds, SteeringAngles, Odometry, EnuVelocities, NodeDetections,
+        RelativeSightings,
         NodePoses,
     )
 }  # fmt: skip

@@ -5,18 +5,20 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import to_json
 
 from fgloc.drive import Drive
 from fgloc.errors import InputError
 from fgloc.evaluation import Judgement, judge, requirements, score_posts
 from fgloc.evaluation.comparison import Comparison
 from fgloc.evaluation.metric import Metric
+from fgloc.evaluation.objects import score_objects
 from fgloc.frames import Origin
 from fgloc.measurements import Array
 from fgloc.posts import PostStates
@@ -27,10 +29,12 @@ from fgloc.verdicts import SourceVerdicts, Verdicts
 
 TRAJECTORY, SMOOTHED = "trajectory", "trajectory_smoothed"
 SUMMARY, VERDICTS, CONFIG, REPORT = "summary.json", "verdicts.csv", "config.toml", "report.html"
+OBJECTS = "objects.csv"
 COMPARISON, POSTS = "compare.json", "posts.csv"
 VERDICT_COLUMNS = (
     "source", "t_ns", "received_ns", "verdict", "nis", "dof", "threshold", "reason",
 )  # fmt: skip
+_ROWS_AT_ONCE = 65_536
 POST_COLUMNS = {
     "x_m": ("p_node_m", 0), "vx_mps": ("v_node_mps", 0), "y_m": ("p_node_m", 1),
     "vy_mps": ("v_node_mps", 1), "roll_rad": ("tilt_rad", 0), "pitch_rad": ("tilt_rad", 1),
@@ -44,7 +48,7 @@ ALSO = ("gpx", "kml")
 """Formats of the trajectory that are written where they are asked for."""
 FILES = (
     *(f"{stem}.{suffix}" for stem in (TRAJECTORY, SMOOTHED) for suffix in (*_SUFFIXES, *ALSO)),
-    SUMMARY, VERDICTS, CONFIG, REPORT, POSTS,
+    SUMMARY, VERDICTS, CONFIG, REPORT, OBJECTS, POSTS,
 )  # fmt: skip
 """Everything that a result folder may hold; these are replaced when it is written again."""
 
@@ -102,7 +106,12 @@ def write_result(
             _write_text(folder / POSTS, format_posts(result.posts, drive))
         if result.smoothed is not None:
             _write_trajectory(folder, SMOOTHED, result.smoothed, drive, also)
-        _write_text(folder / VERDICTS, format_verdicts(result.verdicts))
+        with (folder / VERDICTS).open("w", encoding="utf-8", newline="\n") as file:
+            file.writelines(_verdict_lines(result.verdicts))
+        if result.objects is not None:
+            from fgloc.datasets.object_tracks import write_tracks
+
+            write_tracks(folder / OBJECTS, result.objects)
         _write_text(folder / CONFIG, format_config(drive, result))
         if report:
             _write_report(folder / REPORT, drive, result, judged)
@@ -185,6 +194,8 @@ def summarize(
     if judged is not None:
         metrics |= judged.metrics
         summary["requirements"] = requirements.as_dict(judged.requirements)
+    if drive.objects is not None and result.objects is not None:
+        metrics |= score_objects(result.objects, drive.objects, drive.start_ns, score_from_s)
     if metrics:
         summary |= {"score_from_s": score_from_s, "metrics": _plain(metrics)}
     if drive.truth is not None and result.smoothed is not None:
@@ -197,8 +208,7 @@ def summarize(
 
 def format_verdicts(verdicts: Verdicts) -> str:
     """The text of `verdicts.csv`: one row per measurement, source by source; NaN is left empty."""
-    rows = chain.from_iterable(map(_verdict_rows, verdicts.values()))
-    return "".join([",".join(VERDICT_COLUMNS) + "\n", *rows])
+    return "".join(_verdict_lines(verdicts))
 
 
 def format_posts(posts: PostStates, drive: Drive) -> str:
@@ -300,33 +310,41 @@ def _plain(metrics: Mapping[str, Metric]) -> dict[str, Any]:
     return {name: metric.to_dict() for name, metric in metrics.items()}
 
 
-def _verdict_rows(table: SourceVerdicts) -> Iterator[str]:
-    """Lines of one source, together for each run of rows with one verdict and reason."""
-    if not len(table):
-        return
-    source, times = _cell(table.source), _lines(table.t_ns, table.received_ns)
+def _verdict_lines(verdicts: Verdicts) -> Iterator[str]:
+    """The lines of `verdicts.csv`, many at a time."""
+    yield ",".join(VERDICT_COLUMNS) + "\n"
+    for table in verdicts.values():
+        for first in range(0, len(table), _ROWS_AT_ONCE):
+            yield "".join(_verdict_rows(table, slice(first, first + _ROWS_AT_ONCE)))
+
+
+def _verdict_rows(table: SourceVerdicts, part: slice) -> Iterator[str]:
+    """Lines of some rows of a source, whose ends are made once for each run of rows with one
+    verdict and reason."""
+    source, t, received = _cell(table.source), _texts(table.t_ns[part]), table.received_ns[part]
+    at_once = np.array_equal(received, table.t_ns[part])
+    times = list(zip(t, t if at_once else _texts(received), strict=True))
     numbers = None
-    if table.dof.any() or not (np.isnan(table.nis) & np.isnan(table.threshold)).all():
-        found = _lines(table.nis, table.dof, table.threshold)
-        numbers = [row.replace("NaN", "").replace("Infinity", "inf") for row in found]
-    changes = table.verdict[1:] != table.verdict[:-1]
-    changes |= table.reason[1:] != table.reason[:-1]
-    for first, stop in pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(table)]):
-        fate, reason = _cell(table.verdict[first]), _cell(table.reason[first])
-        rows = times[first:stop]
+    found = [column[part] for column in (table.nis, table.dof, table.threshold)]
+    if found[1].any() or not (np.isnan(found[0]) & np.isnan(found[2])).all():
+        numbers = list(zip(*map(_texts, found), strict=True))
+    fates, reasons = table.verdict[part], table.reason[part]
+    changes = (fates[1:] != fates[:-1]) | (reasons[1:] != reasons[:-1])
+    for first, stop in pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(fates)]):
+        fate, reason = _cell(fates[first]), _cell(reasons[first])
         if numbers is None:
             end = f",{fate},,0,,{reason}\n"
-            yield f"{source},{f'{end}{source},'.join(rows)}{end}"
+            yield "".join([f"{source},{a},{b}{end}" for a, b in times[first:stop]])
         else:
-            both = zip(rows, numbers[first:stop], strict=True)
-            yield "".join([f"{source},{t},{fate},{n},{reason}\n" for t, n in both])
+            rows = zip(times[first:stop], numbers[first:stop], strict=True)
+            yield "".join([f"{source},{a},{b},{fate},{nis},{dof},{threshold},{reason}\n"
+                           for (a, b), (nis, dof, threshold) in rows])  # fmt: skip
 
 
-def _lines(*columns: NDArray[Any]) -> list[str]:
-    """The rows of some columns of numbers, with commas between."""
-    from fgloc.datasets.csv_table import format_rows
-
-    return [line for lines in format_rows(columns) for line in lines.splitlines()]
+def _texts(values: NDArray[Any]) -> list[str]:
+    """The shortest exact text of each number, by pydantic's JSON; empty for NaN."""
+    text = to_json(values.tolist())[1:-1].decode()
+    return text.replace("NaN", "").replace("Infinity", "inf").split(",")
 
 
 def _number(value: float) -> str:

@@ -113,7 +113,7 @@ def measured_positions(
 
     Fills in the verdicts of the other rows. Raises DriveError where there are fewer than 2 fixes.
     """
-    parts = [_fixes(drive, span_ns, verdicts[GNSS])]
+    parts = [_fixes(drive, span_ns, verdicts)]
     seen = drive.tables.get(DETECTIONS)
     if isinstance(seen, NodeDetections) and len(seen) and config.detections.use:
         begin, end = int(parts[0].t_ns[0]), span_ns[1]
@@ -132,9 +132,11 @@ def position_sources(drive: Drive, config: SmoothConfig) -> tuple[PositionSource
     return gnss, *(_node_source(drive, node, d) for node in nodes)
 
 
-def _fixes(drive: Drive, span_ns: tuple[int, int], verdicts: SourceVerdicts) -> Positions:
-    fixes = drive.gnss
-    rows = usable_fixes(fixes, span_ns, verdicts, drive.name)
+def _fixes(
+    drive: Drive, span_ns: tuple[int, int], verdicts: dict[str, SourceVerdicts]
+) -> Positions:
+    fixes = drive.gnss  # says so where there are none
+    rows = usable_fixes(fixes, span_ns, verdicts[GNSS], drive.name)
     n = len(rows)
     return Positions(
         fixes.t_ns[rows], fixes.received_ns[rows], np.zeros(n, np.int64), rows, np.arange(n),

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from fgloc.measurements import ObjectTracks
 from fgloc.posts import PostStates
 from fgloc.timing import Instants
 from fgloc.trajectory import Trajectory
@@ -26,6 +27,7 @@ class Result:
     trajectory  the estimate; of causal methods, each state as it was when it was the newest;
                 without states where the drive has no vehicle
     smoothed    causal methods only, on request: the last estimate of every state
+    objects     tracks of other road users, of methods that follow them
     summary     what summary.json holds (see the README), metrics left out
     posts       how the posts swayed, where the method estimates that
     method      e.g. 'graph-batch'; `causal` says whether the trajectory looked ahead
@@ -37,6 +39,7 @@ class Result:
     method: str
     causal: bool
     smoothed: Trajectory | None = None
+    objects: ObjectTracks | None = None
     events: tuple[Event, ...] = ()
     config: Mapping[str, Any] = field(default_factory=dict)
     posts: PostStates | None = None

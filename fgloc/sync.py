@@ -114,7 +114,14 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
     epochs = Epochs(t_ns, is_keyframe, in_gap, *steps)
     held = constraints(drive, motion, t_ns, epochs.is_keyframe, rows)
     _count(held, t_ns, motion, verdicts)
-    return Plan(epochs, motion, positions, held, verdicts, _gap_events(gaps, motion))
+    return Plan(
+        epochs,
+        motion,
+        positions,
+        held,
+        verdicts,
+        (*_carried(motion, t_ns), *_gap_events(gaps, motion)),
+    )
 
 
 def _motion(drive: Drive, config: SmoothConfig, verdicts: dict[str, SourceVerdicts]) -> Motion:
@@ -180,6 +187,13 @@ def _gaps(imu: ImuSamples, first_ns: int, gap_s: float) -> NDArray[np.int64]:
     gaps = np.stack([imu.t_ns[wide], imu.t_ns[wide + 1]], -1)
     gaps = gaps[gaps[:, 1] > first_ns]
     return np.maximum(gaps, first_ns)
+
+
+def _carried(motion: Motion, t_ns: Instants) -> tuple[Event, ...]:
+    """A drive without an IMU is worth a word: what is told between its fixes is a model's."""
+    if not motion.is_made_up:
+        return ()
+    return (Event(int(t_ns[0]), "motion", f"no IMU in use: states are carried by {motion.kind}"),)
 
 
 def _gap_events(gaps: NDArray[np.int64], motion: Motion) -> tuple[Event, ...]:

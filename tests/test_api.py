@@ -157,16 +157,15 @@ def test_every_baseline_that_is_listed_runs():
 
 
 def test_compare_pairs_in_time_and_survives_a_failure(drive):
-    blind = dataclasses.replace(
-        drive, name="blind", tables={k: v for k, v in drive.tables.items() if k != "imu"}
-    )
+    rig = dataclasses.replace(drive.rig, imu_noise=None)
+    blind = dataclasses.replace(drive, name="blind", rig=rig)
     table = fgloc.compare([drive, blind], ["raw:gnss", "graph-batch"], score_from_s=2.0)
     raw, graph, raw_blind, graph_blind = table.rows
     assert raw.difference is None and raw_blind.difference is None
     scored = [row.metrics["horizontal_rmse_m"].value for row in (raw, graph)]
     assert graph.difference.value == pytest.approx(scored[1] - scored[0])
     assert graph.difference.low <= graph.difference.value <= graph.difference.high
-    assert "no imu" in graph_blind.failed and not graph_blind.metrics
+    assert "no [rig.imu_noise]" in graph_blind.failed and not graph_blind.metrics
     plain = table.to_dict()
     assert plain["against"] == "raw:gnss" and len(plain["rows"]) == 4
     assert plain["rows"][1]["metrics"]["anees"]["unit"] == "1"

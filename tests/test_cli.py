@@ -19,12 +19,12 @@ from fgloc.datasets import open_drive
 from fgloc.datasets.drive_folder import read_drive, write_drive
 from fgloc.datasets.trajectory_files import read_trajectory, write_trajectory_csv
 from fgloc.errors import SolverError
-from fgloc.outputs import FILES, VERDICT_COLUMNS, format_verdicts
+from fgloc.outputs import FILES, OBJECTS, POSTS, VERDICT_COLUMNS, format_verdicts
 from fgloc.verdicts import SourceVerdicts, Verdict
 
 COMMANDS = (
     "datasets", "make", "import", "doctor", "degrade", "smooth", "baseline", "compare", "eval",
-    "explain", "tune",
+    "explain", "tune", "correspond",
 )  # fmt: skip
 METRICS = {
     "horizontal_rmse_m", "horizontal_mean_m", "horizontal_std_m", "horizontal_p95_m",
@@ -210,7 +210,7 @@ def test_a_causal_mode_with_its_smoothed_states(run, city, tmp_path):
     status, text, _ = run("smooth", city, "--mode", "fixed-lag", "--lag", "4", "--smoothed",
                           "--out", out, "--score-from", "15", "--also", "gpx,kml")  # fmt: skip
     assert status == 0 and "causal, no look-ahead" in text and "which looks ahead" in text
-    assert {path.name for path in out.iterdir()} == set(FILES) - {"posts.csv"}
+    assert {path.name for path in out.iterdir()} == set(FILES) - {OBJECTS, POSTS}
     summary = json.loads((out / "summary.json").read_text())
     assert summary["causal"] and summary["method"] == "graph-lag"
     assert tomllib.loads((out / "config.toml").read_text())["lag_s"] == 4.0
@@ -582,3 +582,22 @@ def test_on_a_terminal_the_tables_are_the_same(monkeypatch, capsys):
 def test_write_drive_is_what_make_writes(city, tmp_path):
     write_drive(open_drive("city", seed=1, duration_s=30.0), tmp_path / "drive")
     assert (tmp_path / "drive" / "imu.csv").read_bytes() == (city / "imu.csv").read_bytes()
+
+
+def test_correspond_tells_rates_on_screen_and_to_machines(run, tmp_path):
+    status, out, _ = run("correspond", "--layouts", 3, "--sizes", "6", "--out", tmp_path / "rates")
+    assert status == 0
+    assert "6 objects" in out and "consistent" in out and "cpd-warm" in out
+    status, out, _ = run("correspond", "--layouts", 3, "--sizes", "6", "--json")
+    assert json.loads(out)["rows"][0]["method"] == "icp-printed"
+    assert [
+        row["method"]
+        for row in json.loads((tmp_path / "rates/correspond.json").read_text())["rows"]
+    ]
+
+
+@pytest.mark.parametrize("sizes", ["5,x", "", "2"])
+def test_correspond_refuses_sizes_that_are_none(run, sizes):
+    status, out, err = run("correspond", "--sizes", sizes)
+    assert (status, out) == (2, "")
+    assert "5,10" in err or "2 objects" in err

@@ -12,6 +12,7 @@ from fgloc.measurements import (
     NodeDetections,
     NodePoses,
     Odometry,
+    RelativeSightings,
     SteeringAngles,
     WheelSpeeds,
     freeze,
@@ -39,6 +40,7 @@ def test_every_kind_of_table_is_known_by_its_name():
     assert {
         "gnss": GnssFixes, "imu": ImuSamples, "wheel": WheelSpeeds, "steering": SteeringAngles,
         "odometry": Odometry, "velocity": EnuVelocities, "detections": NodeDetections,
+        "relative": RelativeSightings,
         "node_poses": NodePoses,
     } == TABLES  # fmt: skip
 
@@ -142,3 +144,15 @@ def test_tables_are_the_same_where_every_bit_is_and_nan_equals_nan():
     assert not gnss().same_as(gnss(3))
     assert not wheel().same_as(wheel(speed_mps=[0.5, 1.5, np.nextafter(2.5, 3)]))
     assert not wheel().same_as(gnss())
+
+
+def test_a_covariance_that_is_not_symmetric_is_refused_by_its_row():
+    t_ns, p = np.arange(3), np.zeros((3, 3))
+    cov = np.tile(np.eye(3), (3, 1, 1))
+    cov[1, 0, 1] = 0.5
+    with pytest.raises(DriveError, match=r"gnss row 1: the covariance .* is not symmetric; write"):
+        GnssFixes(t_ns, t_ns, p, cov, p)
+    cov[1, 1, 0] = 0.5 + 1e-9
+    assert len(GnssFixes(t_ns, t_ns, p, cov, p)) == 3
+    cov[2] = np.nan
+    assert len(GnssFixes(t_ns, t_ns, p, cov, p)) == 3

@@ -80,8 +80,9 @@ def test_rows_that_are_not_sound_are_left_out_and_told():
 def test_yaw_rates_far_apart_leave_a_gap():
     table = odometry().take([0, 1, 2, 10])
     held = made(drive_of(odometry=table), gap_s=0.5)
-    assert [event.kind for event in held.events] == ["imu gap"]
-    assert "no yaw rates for 0.80 s" in held.events[0].text
+    assert [event.kind for event in held.events] == ["motion", "imu gap"]
+    assert held.events[0].text == "no IMU in use: states are carried by odometry"
+    assert "no yaw rates for 0.80 s" in held.events[1].text
     assert held.epochs.in_gap.any()
 
 

@@ -14,6 +14,16 @@ from fgloc.result import Result
 __all__ = ["RAW", "available", "check", "run"]
 
 _METHODS: dict[str, str] = {
+    "covariance-intersection": "covariance_intersection.run",
+    "khamooshi2023-ckf": "khamooshi2023_ckf.run",
+    "khamooshi2023-ckf:bicycle": "khamooshi2023_ckf.run_bicycle",
+    "khamooshi2023-ckf:free": "khamooshi2023_ckf.run_free",
+    "khamooshi2023-ckf:hard": "khamooshi2023_ckf.run_hard",
+    "khamooshi2023-ckf:soft": "khamooshi2023_ckf.run_soft",
+    "khamooshi2023-ckf:sensors": "khamooshi2023_ckf.run_sensors",
+    "khamooshi2023-kcf": "khamooshi2023_kcf.run",
+    "khamooshi2023-kcf:nodes": "khamooshi2023_kcf.run_nodes",
+    "khamooshi2023-kcf:onboard": "khamooshi2023_kcf.run_onboard",
     "lee2021-ekf": "lee2021_ekf.run",
     "lee2021-ekf:on-arrival": "lee2021_ekf.run_on_arrival",
     "lee2021-ekf:printed": "lee2021_ekf.run_printed",

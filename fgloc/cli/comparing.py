@@ -87,8 +87,8 @@ def compare(
 ) -> None:  # fmt: skip
     """The same drives through several methods.
 
-    A method is graph-batch, graph-incremental, graph-lag or a baseline such as raw:gnss. DIR gets
-    compare.json and a report.
+    A method is graph-batch, graph-incremental, graph-lag (each with :velocity after it for the
+    graph without the IMU) or a baseline such as raw:gnss. DIR gets compare.json and a report.
     """
     from fgloc import api, outputs
 

@@ -8,7 +8,14 @@ from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, robust_sigma, rows_of, warning
 from fgloc.drive import Drive
-from fgloc.measurements import Array, GnssFixes, ImuSamples, NodeDetections, Table
+from fgloc.measurements import (
+    Array,
+    GnssFixes,
+    ImuSamples,
+    NodeDetections,
+    RelativeSightings,
+    Table,
+)
 from fgloc.timing import NS_PER_S
 
 SLOWEST_HZ = {"gnss": 0.1, "imu": 20.0, "wheel": 1.0}
@@ -33,14 +40,21 @@ _DAY_S = 86_400.0
 
 def check_rows(drive: Drive) -> Iterator[Finding]:
     """What there is at all: tables, and rows in them."""
-    for name in ("gnss", "imu") if drive.has_vehicle else ():
-        if name not in drive.tables:
-            yield fault(
-                "no-table",
-                name,
-                f"the drive has no {name} table",
-                f"add {name}.csv: the graph needs fixes and an IMU",
-            )
+    # Where nodes see several road users, the graph needs neither fixes nor an IMU of the car.
+    of_many = NodeDetections.KIND in drive.tables and (
+        drive.objects is not None or RelativeSightings.KIND in drive.tables
+    )
+    of_the_car = drive.has_vehicle and not of_many
+    if "gnss" not in drive.tables and of_the_car:
+        yield fault("no-table", "gnss", "the drive has no gnss table",
+                    "add gnss.csv: the graph needs fixes")  # fmt: skip
+    if "imu" not in drive.tables and of_the_car:
+        yield remark(
+            "no-table", "imu",
+            "the drive has no imu table: odometry, steering or the model of a steady velocity "
+            "carries it from fix to fix",
+            "add imu.csv if there is one: outages then cost less",
+        )  # fmt: skip
     for name, table in drive.tables.items():
         if len(table) < 2:
             yield fault(
@@ -106,10 +120,10 @@ def check_gaps(drive: Drive) -> Iterator[Finding]:
 
 
 def check_duplicates(drive: Drive) -> Iterator[Finding]:
-    """Rows of an instant that another row has told of already; a node's frame has many objects."""
+    """Rows of an instant that another has told of already; what sees many objects is let be."""
     for name, table in drive.tables.items():
         repeats = np.flatnonzero(np.diff(table.t_ns) == 0) + 1
-        if len(repeats) and not isinstance(table, NodeDetections):
+        if len(repeats) and not isinstance(table, NodeDetections | RelativeSightings):
             yield warning(
                 "duplicate",
                 name,

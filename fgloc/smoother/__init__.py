@@ -2,7 +2,7 @@
 
 import platform
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeVar
 
@@ -11,6 +11,7 @@ from fgloc.drive import Drive
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
+from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
 from fgloc.smoother.posts import smooth_posts
 from fgloc.smoother.roadside import roadside
@@ -23,8 +24,17 @@ METHODS = {
     "graph-batch": "batch", "graph-incremental": "incremental", "graph-lag": "fixed-lag",
 }  # fmt: skip
 """The mode behind each method's name."""
+VELOCITY = ":velocity"
+"""After a method's name: the same without the IMU, by the drive's velocities."""
 STILL_LATE_S, MAX_SHIFTS = 1e-3, 3
 """Stamps are shifted by their estimated lateness until less than this is left of it."""
+
+
+def methods() -> dict[str, dict[str, Any]]:
+    """The graph's methods by name, each with the settings that make it."""
+    plain: dict[str, dict[str, Any]] = {name: {"mode": mode} for name, mode in METHODS.items()}
+    without_imu = {"motion": {"kind": "constant-velocity"}}
+    return plain | {name + VELOCITY: given | without_imu for name, given in plain.items()}
 
 
 def smooth(drive: Drive, config: SmoothConfig) -> Result:
@@ -34,7 +44,9 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
     be solved.
     """
     began = time.perf_counter()
-    if drive.has_vehicle:
+    if is_cooperative(drive):
+        result = replace(run_cooperative(drive, config), config=_provenance(config))
+    elif drive.has_vehicle:
         result = _vehicle(drive, config)
     else:
         result = smooth_posts(drive, config, _method(config))

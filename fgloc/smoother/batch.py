@@ -77,7 +77,7 @@ def run_batch(model: Model) -> BatchRun:
     start = guess(model, 0, len(model) - 1, gyro_yaw(model))
     solver = _solver(model, start, deltas)
     states, robust, cost, iterations = _settle(model, solver, States.of(start, model))
-    if cost > misfit(len(model.guides)):
+    if cost > misfit(len(model.guides) + model.car.worth(0, len(model))):
         turned = _turned(model, solver, start)
         if turned is not start:
             states, robust, cost, iterations = _settle(model, solver, States.of(turned, model))
@@ -197,7 +197,7 @@ def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
     def cost(turned: Guess) -> float:
         return _settle(model, begin, States.of(turned, model).first(n))[2]
 
-    return choose_yaw(start, len(model.fixed(0, n)), cost)
+    return choose_yaw(start, len(model.fixed(0, n)) + model.car.worth(0, n), cost)
 
 
 def _leave_one_out(

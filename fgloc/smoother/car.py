@@ -52,6 +52,15 @@ class Car:
         self.pitch_rad = self.config.pitch_rad_per_mps2 * held.ahead_mps2[at]
         self.acts = bool(self.in_force.any())
 
+    def worth(self, first: int, stop: int) -> int:
+        """How many fixes have as many numbers as the velocities of keyframes first..stop - 1 and,
+        without an IMU, what else there is ten times a second."""
+        within = slice(first, stop)
+        numbers = 3 * int((self.velocities.row[within] >= 0).sum())
+        if not self.is_mounted:
+            numbers += int((self.wheel_row[within] >= 0).sum() + 2 * self.in_force[within].sum())
+        return numbers // 3
+
     def summary(self) -> dict[str, float]:
         """What was found of the wheels and of the mounting, where anything tells of them."""
         if not self.acts:
@@ -74,6 +83,23 @@ class Car:
         spread = sigma**2 + (self.config.scale_sigma * speed) ** 2
         nis = float(noise.nis(told.error[0], H @ cov @ H.T + spread))
         return self._gate(self.wheel_source, int(self.wheel_row[j]), nis, 1)
+
+    def note_slip(
+        self, j: int, R: Array, v: Array, bias: Array, cov: Array, mounting_cov: Array
+    ) -> None:  # fmt: skip
+        """Note the NIS of the non-holonomic constraint at keyframe j against a state with the
+        covariance `cov` (9, 9) of pose and velocity, and a mounting (2, 2) that is as well known.
+
+        There is no gate: the constraint is nobody's measurement, and its loss weighs it down.
+        """
+        if not self.config.non_holonomic:
+            return
+        u = vehicle.body_velocity(R[None], v[None], self.rate_radps[[j]], bias[None], self.arm)
+        told = vehicle.non_holonomic(u, self.turn(self.found)[j])
+        H, M = np.concatenate([told.by_pose[0], told.by_velocity[0]], 1), told.by_mounting[0]
+        S = H @ cov @ H.T + M @ mounting_cov @ M.T + np.diag(self.slip_sigmas_mps[j] ** 2)
+        own, row = self.verdicts[NON_HOLONOMIC], int(self.slip_row[j])
+        own.nis[row], own.dof[row] = float(noise.nis(told.error[0], S)), 2
 
     def still_fits(self, j: int, v: Array, cov: Array) -> bool:
         """Gate the standstill at keyframe j against a velocity with the covariance (3, 3)."""

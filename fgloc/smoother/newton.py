@@ -12,9 +12,10 @@ FIRST_DAMPING, MAX_DAMPING = 1e-4, 1e10
 """In units of `Cost.damping`; a step that climbs takes ten times the last one's."""
 NEAR = 0.1
 """Where nearness will do, the last step may promise this share of the cost."""
-SURE, SHORT_RAD = 1e-3, 0.01
-"""After a step that promises this share of the cost the next will be the last: its curvature is
-that of covariances. If it turns nothing by more than this, it does what it promises."""
+SURE, SLOW, SHORT_RAD = 1e-3, 0.01, 0.01
+"""After a step of Newton's that promises this share of the cost, the next is likely the last, and
+takes the curvature of covariances. That comes nearer more slowly, so it must promise less, by this
+factor. A last step that turns nothing by more than so many rad does what it promises."""
 
 
 class Cost(Protocol):
@@ -60,13 +61,15 @@ class Descent:
             self.iterations += 1
             factor, step, promise, damping = self._step(states, band, curvature, damping)
             trial = self.cost.moved(states, step)
-            done = promise <= max(tolerance, share * value) and damping < FIRST_DAMPING
+            enough = tolerance * (SLOW if curvature == "weights" else 1.0)
+            done = promise <= max(enough, share * value) and damping < FIRST_DAMPING
             if done and np.abs(step.blocks[:, :3]).max() < SHORT_RAD:
                 self.converged = True
                 self.factor = factor if curvature == "weights" and damping == 0 else None
                 return trial, value - promise
             del band, factor  # which have the same memory: there is room for one
-            following: Curvature = "weights" if promise <= SURE * value else "newton"
+            ends = curvature == "newton" and promise <= SURE * value
+            following: Curvature = "weights" if ends else "newton"
             trial_value, band = self.cost.linearize(trial, self.robust, following)
             climbs = not trial_value <= value
             if not climbs:

@@ -178,6 +178,7 @@ class Online:
         model, n = self.model, stretch(start)
         graph = as_graph(factor for group in groups[:n] for factor in group)
         fixes = len(model.fixed(start.first, start.first + n))
+        fixes += model.car.worth(start.first, start.first + n)
 
         def cost(turned: Guess) -> float:
             values = first_values(model, turned, n, rows)

@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import B, K, V, X
 from numpy.typing import NDArray
 
 from fgloc.constraints import NON_HOLONOMIC
-from fgloc.factors.vehicle import read_calibration
+from fgloc.factors.vehicle import mounting_covariance, read_calibration
 from fgloc.measurements import Array
 from fgloc.smoother.graph import Factors, GraphModel, State
 from fgloc.smoother.online_velocities import OnlineVelocities
@@ -55,6 +55,9 @@ class OnlineCar:
             return factors
         if self.car.in_force[j]:
             self._enter(j)
+            R, bias = state.pose.rotation().matrix(), state.bias.vector()
+            mounting = mounting_covariance(tree.covariance([K(0)]))
+            self.car.note_slip(j, R, v, bias, cov, mounting)
             self.car.insert(values, j, state.pose, state.velocity, state.bias)
             factors += self.car.axis_factors(j)
         for key in self._arriving[j]:

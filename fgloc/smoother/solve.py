@@ -42,7 +42,7 @@ def optimize(
     params = gtsam.LevenbergMarquardtParams()
     params.setMaxIterations(model.config.solver.max_iterations)
     params.setAbsoluteErrorTol(model.config.solver.cost_tolerance)
-    params.setRelativeErrorTol(1e-9)  # the absolute one decides
+    params.setRelativeErrorTol(0.0)  # the absolute one decides
     try:
         return _run(graph, values, params)
     except RuntimeError:

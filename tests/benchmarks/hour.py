@@ -44,7 +44,8 @@ def main() -> None:
     args = parser.parse_args()
     if args.profiled:
         sys.exit(profiled(Path(args.profiled[0]), args.profiled[1:]))
-    print(f"{'min':>5} {'fgloc s':>8} {'MB':>6} {'bare s':>8} {'MB':>6} {'ratio':>6}   ", end="")
+    print(f"{'min':>5} {'fgloc s':>8} {'cpu s':>7} {'MB':>6}", end=" ")
+    print(f"{'bare s':>8} {'cpu s':>7} {'MB':>6} {'ratio':>6}   ", end="")
     print(*(f"{name:>12}" for name in (*STAGES, "rest")))
     for minutes in args.minutes:
         with tempfile.TemporaryDirectory() as temp:
@@ -63,20 +64,20 @@ def print_run(minutes: float, temp: Path, *, with_bare: bool) -> None:
     """Run fgloc, and the bare script if wanted, and print a line."""
     stages, out = temp / "stages.json", temp / "result"
     smooth = ["smooth", temp / "city", "--no-report", "--json", "--out", out]
-    wall_s, peak_mb = run([sys.executable, __file__, "--profiled", stages, *smooth])
+    wall_s, cpu_s, peak_mb = run([sys.executable, __file__, "--profiled", stages, *smooth])
     told = json.loads(stages.read_text())
-    bare = f"{'':>8} {'':>6} {'':>6}"
+    bare = " " * 30
     if with_bare:
         command = [sys.executable, HERE / "bare_batch.py", temp / "city"]
-        bare_s, bare_mb = run([*command, "--out", temp / "bare.csv"])
-        bare = f"{bare_s:8.2f} {bare_mb:6.0f} {wall_s / bare_s:6.3f}"
+        bare_s, bare_cpu_s, bare_mb = run([*command, "--out", temp / "bare.csv"])
+        bare = f"{bare_s:8.2f} {bare_cpu_s:7.2f} {bare_mb:6.0f} {wall_s / bare_s:6.3f}"
     spent = [*(told.get(name, 0.0) for name in STAGES), wall_s - sum(told.values())]
-    print(f"{minutes:5g} {wall_s:8.2f} {peak_mb:6.0f} {bare}   ", end="")
+    print(f"{minutes:5g} {wall_s:8.2f} {cpu_s:7.2f} {peak_mb:6.0f} {bare}   ", end="")
     print(*(f"{seconds:12.2f}" for seconds in spent), flush=True)
 
 
-def run(command: list) -> tuple[float, float]:
-    """Wall time in s and peak memory in MB of a process."""
+def run(command: list) -> tuple[float, float, float]:
+    """Wall time in s, processor time in s and peak memory in MB of a process."""
     began = time.perf_counter()
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
@@ -88,7 +89,8 @@ def run(command: list) -> tuple[float, float]:
         if process.returncode:
             errors.seek(0)
             sys.exit(errors.read().decode())
-    return wall_s, usage.ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)
+    cpu_s = usage.ru_utime + usage.ru_stime
+    return wall_s, cpu_s, usage.ru_maxrss / (1024**2 if sys.platform == "darwin" else 1024)
 
 
 def profiled(stages: Path, arguments: list[str]) -> int:

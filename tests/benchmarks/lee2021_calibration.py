@@ -22,7 +22,7 @@ from fgloc.datasets.lee2021_errors import PAPER, PaperErrors, Passes
 from fgloc.drive import Drive
 from fgloc.measurements import Array
 
-PROCESS_SIGMAS_M = (0.03, 0.05, 0.1, 0.2, 0.3, 0.5)
+PROCESS_SIGMAS_M = (0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5)
 TURNS_DEG = (-60.0, -30.0, 0.0, 30.0, 60.0)
 PRINTED_M = np.array([mean for mean, _ in TABLE_III_M["fusion"]])
 

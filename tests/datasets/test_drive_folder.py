@@ -341,7 +341,7 @@ def test_a_folder_without_tables_is_told(small):
     (folder / "gnss.csv").unlink()
     tables = (
         "gnss.csv, imu.csv, wheel.csv, steering.csv, odometry.csv, velocity.csv, detections.csv, "
-        "node_poses.csv"
+        "relative.csv, node_poses.csv"
     )
     assert fault(folder) == f"small: has none of the tables {tables}"
 

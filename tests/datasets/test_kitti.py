@@ -44,7 +44,9 @@ def test_golden_rows_of_the_wheel():
     np.testing.assert_allclose(drive.gnss.p_world_ant_m[0], place_m, rtol=1e-12)
     assert iso_utc(int(drive.imu.t_ns[0])) == "2011-10-03T12:55:36.407Z"
     assert (drive.gnss.t_ns[0] - kitti.MIDNIGHT_NS) == 46_537_387_955_333
-    assert drive.rig.imu_noise.accel_noise_mps2_per_sqrt_hz == 0.01
+    noise = drive.rig.imu_noise
+    assert noise.accel_noise_mps2_per_sqrt_hz == kitti.IMU_NOISE["accel_noise_mps2_per_sqrt_hz"]
+    assert noise.accel_bias_walk_mps3_per_sqrt_hz == 1.67e-4
     np.testing.assert_array_equal(drive.rig.T_veh_imu, np.eye(4))
 
 

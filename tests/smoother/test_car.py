@@ -57,6 +57,15 @@ def test_every_constraint_has_a_verdict(city, run, mode):
     assert counts[STANDSTILL]["used"] >= 2
 
 
+def test_the_slip_that_is_seen_is_as_large_as_it_was_predicted(city, run):
+    """Two degrees of freedom, causal, once the yaw is known; a simulated car does not slip at all,
+    so it is rather less."""
+    told = run(city(0, 60.0), "fixed-lag", vehicle=RIGID).verdicts[NON_HOLONOMIC]
+    nis = told.nis[told.dof == 2]
+    assert len(nis) >= 40
+    assert 0.2 < np.mean(nis) < 2.6
+
+
 def test_wheels_that_spin_are_gated(city, run):
     """From the thirtieth second on the wheels tell 8 m/s more for two seconds."""
 

@@ -23,11 +23,11 @@ def chain_of(drive, **settings):
     config = load_config(**settings)
     model = Model(drive, plan(drive, config), config)
     start = guess(model, 0, len(model) - 1, gyro_yaw(model))
-    return Chain(model, start, model.deltas()[0]), States.of(start)
+    return Chain(model, start, model.deltas()[0]), States.of(start, model)
 
 
 def plainly(chain):
-    return Robustness(np.zeros(len(chain.fixed), bool), np.inf, plain=True)
+    return Robustness(chain.model.positions.candidates, np.inf, plain=True)
 
 
 def test_there_is_a_keyframe_for_each_second_and_it_has_a_fix(city):
@@ -35,7 +35,7 @@ def test_there_is_a_keyframe_for_each_second_and_it_has_a_fix(city):
     keys = sketch.few_keyframes(chain.model, chain.n)
     assert keys[0] == 0 and keys[-1] == chain.n - 1
     np.testing.assert_allclose(chain.model.t_s[keys[:-1]], np.arange(21), atol=1e-6)
-    assert (chain.model.fix_of[keys[:-1]] >= 0).all()
+    assert np.isin(keys[:-1], chain.model.key_of).all()
 
 
 def test_where_fixes_are_a_second_apart_there_is_none(city):

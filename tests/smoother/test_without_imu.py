@@ -107,8 +107,8 @@ def test_velocities_that_come_after_the_lag_are_late(run):
     late = dataclasses.replace(table, received_ns=table.t_ns + 4_000_000_000)
     drive = drive.with_tables(velocity=late)
     told = run(drive, "fixed-lag", lag_s=2.0).verdicts["velocity"]
-    assert told.is_(Verdict.LATE)[80:100].all()
-    assert "its state has left the window" in told.reason[80]
+    assert told.is_(Verdict.LATE)[85:100].all()
+    assert "its state has left the window" in told.reason[90]
 
 
 def test_nothing_is_told_before_it_has_arrived(run, apart):

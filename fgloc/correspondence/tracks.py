@@ -1,0 +1,312 @@
+"""Whose number is whose: the objects of nodes and of the car become tracks.
+
+A node, and the car, keep the number that they gave an object; so a number is matched once, when it
+is new. To a node's new number belongs the track that is nearest to where it is seen, of another
+node's or of one whose number the node has dropped; it is sought where it was heading. The car is
+the track where its fix is; without fixes it finds itself by `match`. To a number of the car's own
+belongs the track on which it falls under the heading that the objects agree on.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgloc.correspondence.matching import match
+from fgloc.correspondence.rigid import Rigid, Status, fit, rotation, wrapped
+from fgloc.drive import Drive
+from fgloc.errors import DriveError
+from fgloc.measurements import Array, GnssFixes, NodeDetections, RelativeSightings, Table
+from fgloc.timing import Instants
+from fgloc.verdicts import SourceVerdicts, Verdict
+
+T = TypeVar("T", bound=Table)
+
+GATE_SIGMA = 5.0
+_TURN_VARIANCE = 0.1**2  # rad^2 per s that an old heading loses
+_LONGEST_S = 1.0
+"""A track that was not seen for longer is not found again under another number."""
+_SPEED_SIGMA_MPS = 3.0
+_VELOCITY_NS = 500_000_000
+_NO_TRACK = -1
+
+
+@dataclass(eq=False)
+class Epoch:
+    """What was measured at one instant, by track.
+
+    node, track, z_m, R_m2   of nodes (n,), (n,), (n, 2) East and North, (n, 2, 2)
+    fix_m, fix_R_m2          of the car itself (2,), (2, 2), or None
+    seen, seen_m, seen_R_m2  by the car: track (m,), position in its axes (m, 2), covariance
+    row, received_ns         (n,) of the nodes' sightings: row of the table, when it arrived
+    yaw_rad, yaw_var         heading of the car, by what it sees and what nodes see; NaN if unknown
+    """
+
+    t_ns: int
+    node: NDArray[np.int64]
+    track: NDArray[np.int64]
+    z_m: Array
+    R_m2: Array
+    row: NDArray[np.int64]
+    received_ns: Instants
+    fix_m: Array | None = None
+    fix_R_m2: Array | None = None
+    seen: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    seen_m: Array = field(default_factory=lambda: np.empty((0, 2)))
+    seen_R_m2: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
+    yaw_rad: float = math.nan
+    yaw_var: float = math.nan
+
+
+@dataclass(frozen=True, eq=False)
+class Epochs:
+    """All instants of a drive with their sightings by track; `ego` is the track of the car."""
+
+    epochs: list[Epoch]
+    tracks: int
+    ego: int
+    verdicts: Mapping[str, SourceVerdicts]
+
+    @property
+    def t_ns(self) -> Instants:
+        """(N,) the instants."""
+        return np.array([epoch.t_ns for epoch in self.epochs], np.int64)
+
+
+def track_objects(drive: Drive, method: str) -> Epochs:
+    """The sightings of a drive by track, in the order of time.
+
+    Raises DriveError where no node sees anything, or where the car is never found among what the
+    nodes see although it measures something itself.
+    """
+    return _Tracker(drive, method).run()
+
+
+class _Tracker:
+    """Numbers that are known already, and where each track was last."""
+
+    def __init__(self, drive: Drive, method: str) -> None:
+        self.drive = drive
+        self.verdicts = {
+            name: SourceVerdicts.of(name, table, Verdict.UNUSED, f"{method} does not take {name}")
+            for name, table in drive.tables.items()
+        }
+        self.by_node: dict[tuple[int, int], int] = {}
+        self.by_car: dict[int, int] = {}
+        self.last: dict[int, tuple[int, Array, Array, Array, int, Array]] = {}
+        self.tracks = 0
+        self.ego = _NO_TRACK
+        self.yaw = (math.nan, math.nan, 0)
+
+    def run(self) -> Epochs:
+        """Go through all instants."""
+        seen = self._table(NodeDetections)
+        if seen is None or not len(seen):
+            have = ", ".join(self.drive.tables) or "nothing"
+            raise DriveError(
+                f"drive {self.drive.name!r} has no detections of nodes (it has {have})"
+            )
+        fixes, own = self._table(GnssFixes), self._table(RelativeSightings)
+        tables = [table for table in (seen, fixes, own) if table is not None and len(table)]
+        epochs = [self._epoch(seen, int(t), fixes, own)
+                  for t in np.unique(np.concatenate([table.t_ns for table in tables]))]  # fmt: skip
+        if self.ego == _NO_TRACK and len(tables) == 1:
+            self.ego = self.by_node[min(self.by_node, key=lambda key: key[::-1])]
+        if self.ego == _NO_TRACK:
+            raise DriveError(
+                f"drive {self.drive.name!r}: the car is never found among what the nodes see; it "
+                "needs fixes, or three objects that it sees and that nodes see"
+            )
+        return Epochs(epochs, self.tracks, self.ego, self.verdicts)
+
+    def _epoch(
+        self,
+        seen: NodeDetections,
+        t_ns: int,
+        fixes: GnssFixes | None,
+        own: RelativeSightings | None,
+    ) -> Epoch:
+        epoch = self._by_nodes(seen, t_ns)
+        if fixes is not None:
+            self._fix(epoch, fixes)
+        if own is not None:
+            self._by_car(epoch, own)
+        return epoch
+
+    def _by_nodes(self, seen: NodeDetections, t_ns: int) -> Epoch:
+        rows = np.flatnonzero(seen.t_ns == t_ns)
+        nodes = self.drive.infrastructure.nodes
+        kept, tracks, places, noises = [], [], [], []
+        for row in rows:
+            node, z = nodes[seen.node[row]], seen.p_node_m[row]
+            cov = node.R_world_node @ seen.cov_node_m2[row] @ node.R_world_node.T
+            if not (np.isfinite(z).all() and np.isfinite(cov).all()):
+                self._set(seen, row, Verdict.INVALID, "position or covariance is not finite")
+                continue
+            if np.linalg.norm(z) > node.range_m:
+                self._set(seen, row, Verdict.OUTSIDE, "beyond the range of the node")
+                continue
+            place = node.to_world(z[None])[0]
+            kept.append(row)
+            tracks.append(self._track(seen, row, t_ns, place, cov))
+            places.append(place)
+            noises.append(cov)
+            self._set(seen, row, Verdict.USED)
+        index = np.array(kept, np.int64)
+        return Epoch(
+            t_ns, seen.node[index], np.array(tracks, np.int64), np.array(places).reshape(-1, 2),
+            np.array(noises).reshape(-1, 2, 2), index, seen.received_ns[index],
+        )  # fmt: skip
+
+    def _track(self, seen: NodeDetections, row: Any, t_ns: int, place: Array, cov: Array) -> int:
+        """The track of a node's number: the one it had, the nearest of others, or a new one."""
+        key = (int(seen.node[row]), int(seen.object_id[row]))
+        if key not in self.by_node:
+            # A track that this node tells of at this instant is another object.
+            taken = {
+                self.by_node[other]
+                for other in self._numbers(seen, t_ns, key[0]) & self.by_node.keys()
+            }
+            nearest = self._nearest(place, cov, t_ns, taken)
+            self.by_node[key] = self.tracks if nearest is None else nearest
+            self.tracks += nearest is None
+        track = self.by_node[key]
+        self._moved(track, t_ns, place, cov)
+        return track
+
+    def _numbers(self, seen: NodeDetections, t_ns: int, node: int) -> set[tuple[int, int]]:
+        """What a node tells of at an instant."""
+        rows = (seen.t_ns == t_ns) & (seen.node == node)
+        return {(node, int(number)) for number in seen.object_id[rows]}
+
+    def _moved(self, track: int, t_ns: int, place: Array, cov: Array) -> None:
+        """A track's last place, and its velocity over the last half second or more."""
+        _, _, _, velocity, since_ns, since = self.last.get(
+            track, (t_ns, place, cov, np.zeros(2), t_ns, place)
+        )
+        if t_ns - since_ns >= _VELOCITY_NS:
+            velocity = (place - since) / ((t_ns - since_ns) / 1e9)
+            since_ns, since = t_ns, place
+        self.last[track] = (t_ns, place, cov, velocity, since_ns, since)
+
+    def _nearest(self, place: Array, cov: Array, t_ns: int, taken: set[int]) -> int | None:
+        """The free track that, as it was moving, is within the gate of a place."""
+        found = []
+        for track, (when, p, other, velocity, *_) in self.last.items():
+            dt_s = (t_ns - when) / 1e9
+            if track in taken or dt_s > _LONGEST_S:
+                continue
+            gap = place - p - dt_s * velocity
+            spread = cov + other + (_SPEED_SIGMA_MPS * dt_s) ** 2 * np.eye(2)
+            found.append((float(gap @ np.linalg.solve(spread, gap)), track))
+        best = min(found, default=(math.inf, 0))
+        return best[1] if best[0] < GATE_SIGMA**2 else None
+
+    def _fix(self, epoch: Epoch, fixes: GnssFixes) -> None:
+        rows = np.flatnonzero(fixes.t_ns == epoch.t_ns)
+        fine = [row for row in rows if np.isfinite(fixes.cov_world_m2[row]).all()]
+        self._set(fixes, rows, Verdict.INVALID, "not finite, or one of two at an instant")
+        if not fine:
+            return
+        self._set(fixes, fine[0], Verdict.USED)
+        epoch.fix_m = fixes.p_world_ant_m[fine[0], :2]
+        epoch.fix_R_m2 = fixes.cov_world_m2[fine[0], :2, :2]
+        if self.ego == _NO_TRACK:
+            nearest = self._nearest(epoch.fix_m, epoch.fix_R_m2, epoch.t_ns, set())
+            self.ego = _NO_TRACK if nearest is None else nearest
+
+    def _by_car(self, epoch: Epoch, own: RelativeSightings) -> None:
+        rows = np.flatnonzero(own.t_ns == epoch.t_ns)
+        if self.ego == _NO_TRACK:
+            self._find_itself(epoch, own, rows)
+        place = {int(track): z for track, z in zip(epoch.track, epoch.z_m, strict=True)}
+        if self.ego in place and any(int(own.object_id[row]) not in self.by_car for row in rows):
+            self._name(epoch, own, rows, place)
+        known = [row for row in rows if int(own.object_id[row]) in self.by_car]
+        self._set(own, rows, Verdict.UNUSED, "not found among what nodes have seen")
+        self._set(own, known, Verdict.USED)
+        epoch.seen = np.array([self.by_car[int(own.object_id[row])] for row in known], np.int64)
+        epoch.seen_m, epoch.seen_R_m2 = own.p_veh_m[known], own.cov_veh_m2[known]
+        self._heading(epoch)
+
+    def _find_itself(self, epoch: Epoch, own: RelativeSightings, rows: NDArray[np.int64]) -> None:
+        """Without fixes: the layout of all objects says which of them is the car."""
+        veh = np.concatenate([np.zeros((1, 2)), own.p_veh_m[rows]])
+        sigma = math.sqrt(float(np.mean([*epoch.R_m2[:, 0, 0], *own.cov_veh_m2[rows, 0, 0]]))
+                          ) if len(epoch.z_m) and len(rows) else 1.0  # fmt: skip
+        found = match(epoch.z_m, veh, sigma_m=sigma, doubt=0.05)
+        if found.status != Status.MATCHED:
+            return
+        pairs = {int(a): int(b) for a, b in np.concatenate([found.pairs, found.likely])}
+        if 0 not in pairs:
+            return
+        self.ego = int(epoch.track[pairs.pop(0)])
+        for own_index, theirs in pairs.items():
+            self.by_car[int(own.object_id[rows[own_index - 1]])] = int(epoch.track[theirs])
+
+    def _name(
+        self, epoch: Epoch, own: RelativeSightings, rows: NDArray[np.int64], place: dict[int, Array]
+    ) -> None:
+        """Tracks of the car's new numbers, under the heading on which most objects fall."""
+        others = [track for track in place if track != self.ego]
+        best: tuple[int, float, dict[int, int]] = (0, 0.0, {})
+        for row in rows:
+            for track in others:
+                ray, seen = place[track] - place[self.ego], own.p_veh_m[row]
+                yaw = math.atan2(ray[1], ray[0]) - math.atan2(seen[1], seen[0])
+                named, cost = self._fall(epoch, own, rows, place, yaw)
+                if (len(named), -cost) > (best[0], -best[1]):
+                    best = (len(named), cost, named)
+        for number, track in best[2].items():
+            self.by_car.setdefault(number, track)
+
+    def _fall(
+        self, epoch: Epoch, own: RelativeSightings, rows: NDArray[np.int64],
+        place: dict[int, Array], yaw: float,
+    ) -> tuple[dict[int, int], float]:  # fmt: skip
+        """Which numbers fall on which tracks under a heading, and the sum of squared distances."""
+        named: dict[int, int] = {}
+        cost = 0.0
+        noise = {int(t): R for t, R in zip(epoch.track, epoch.R_m2, strict=True)}
+        for row in rows:
+            at = place[self.ego] + rotation(yaw) @ own.p_veh_m[row]
+            scale = float(own.cov_veh_m2[row].trace()) / 2 + float(noise[self.ego].trace()) / 2
+            squares = {
+                track: float(((at - p) ** 2).sum()) / (scale + float(noise[track].trace()) / 2)
+                for track, p in place.items()
+                if track != self.ego and track not in named.values()
+            }
+            near = min(squares, key=squares.__getitem__, default=None)
+            if near is not None and squares[near] < GATE_SIGMA**2:
+                named[int(own.object_id[row])] = near
+                cost += squares[near]
+        return named, cost
+
+    def _heading(self, epoch: Epoch) -> None:
+        """The rotation that carries what the car sees to what nodes see, with its variance."""
+        place: dict[int, tuple[Array, float]] = {}
+        for track, z, R in zip(epoch.track, epoch.z_m, epoch.R_m2, strict=True):
+            place[int(track)] = (z, float(R.trace()) / 2)
+        pairs = [(m, cov, *place[int(t)]) for t, m, cov in
+                 zip(epoch.seen, epoch.seen_m, epoch.seen_R_m2, strict=True)
+                 if int(t) in place]  # fmt: skip
+        if self.ego in place and pairs:
+            veh = np.array([np.zeros(2), *(p[0] for p in pairs)])
+            world = np.array([place[self.ego][0], *(p[2] for p in pairs)])
+            w = 1 / np.array([place[self.ego][1], *(p[3] + p[1].trace() / 2 for p in pairs)])
+            pose: Rigid = fit(veh, world, w)
+            spread = veh - w @ veh / w.sum()
+            self.yaw = (pose.yaw_rad, 1 / float(w @ (spread**2).sum(-1)), epoch.t_ns)
+        yaw, variance, when = self.yaw
+        epoch.yaw_rad = wrapped(yaw) if math.isfinite(yaw) else yaw
+        epoch.yaw_var = variance + _TURN_VARIANCE * (epoch.t_ns - when) / 1e9
+
+    def _table(self, kind: type[T]) -> T | None:
+        table = self.drive.tables.get(kind.KIND)
+        return table if isinstance(table, kind) else None
+
+    def _set(self, table: Table, rows: Any, verdict: Verdict, reason: str = "") -> None:
+        self.verdicts[table.KIND].set(rows, verdict, reason)
