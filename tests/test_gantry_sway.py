@@ -36,7 +36,7 @@ def drive():
     beside = Infrastructure((Node("gantry", np.zeros(3)),), (POST,))
     about = fgloc.About("Recorded gantry motion on a made-up node: synthetic combination")
     return fgloc.Drive("gantry", fgloc.Origin(48.2, 11.6, 480), fgloc.Rig(),
-                       {"node_poses": poses}, None, about, beside, truth)  # fmt: skip
+                       {"node_poses": poses}, None, about, beside, post_truth=truth)  # fmt: skip
 
 
 def rmse_m(result, drive) -> float:
