@@ -31,6 +31,8 @@ _LONGEST_S = 1.0
 """A track that was not seen for longer is not found again under another number."""
 _SPEED_SIGMA_MPS = 3.0
 _VELOCITY_NS = 500_000_000
+A_UNSTATED = 3e-4
+"""Variance over the square of the slant range where a node states no covariance."""
 _NO_TRACK = -1
 
 
@@ -142,7 +144,10 @@ class _Tracker:
         kept, tracks, places, noises = [], [], [], []
         for row in rows:
             node, z = nodes[seen.node[row]], seen.p_node_m[row]
-            cov = node.R_world_node @ seen.cov_node_m2[row] @ node.R_world_node.T
+            cov = seen.cov_node_m2[row]
+            if np.isnan(cov).all():
+                cov = A_UNSTATED * float(z @ z + node.p_world_m[2] ** 2) * np.eye(2)
+            cov = node.R_world_node @ cov @ node.R_world_node.T
             if not (np.isfinite(z).all() and np.isfinite(cov).all()):
                 self._set(seen, row, Verdict.INVALID, "position or covariance is not finite")
                 continue
@@ -164,7 +169,7 @@ class _Tracker:
     def _track(self, seen: NodeDetections, row: Any, t_ns: int, place: Array, cov: Array) -> int:
         """The track of a node's number: the one it had, the nearest of others, or a new one."""
         key = (int(seen.node[row]), int(seen.object_id[row]))
-        if key not in self.by_node:
+        if key not in self.by_node or key[1] < 0:
             # A track that this node tells of at this instant is another object.
             taken = {
                 self.by_node[other]
