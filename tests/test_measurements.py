@@ -11,6 +11,8 @@ from fgloc.measurements import (
     ImuSamples,
     NodeDetections,
     Odometry,
+    Ranges,
+    SmartCodeSightings,
     SteeringAngles,
     WheelSpeeds,
     freeze,
@@ -38,6 +40,7 @@ def test_every_kind_of_table_is_known_by_its_name():
     assert {
         "gnss": GnssFixes, "imu": ImuSamples, "wheel": WheelSpeeds, "steering": SteeringAngles,
         "odometry": Odometry, "velocity": EnuVelocities, "detections": NodeDetections,
+        "smart_codes": SmartCodeSightings, "ranges": Ranges,
     } == TABLES  # fmt: skip
 
 
