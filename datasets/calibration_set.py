@@ -1,7 +1,7 @@
-"""Calibration sets of roadside cameras as files: a CSV of `u_px,v_px,east_m,north_m`.
+"""Calibration sets of roadside cameras as files: a CSV of `u_px,v_px,east_m,north_m[,run]`.
 
 Each row is one moment of a calibration drive: the centre of the car's box in the image, and where
-a differential GPS had the car, metres about the drive's origin.
+a differential GPS had the car, metres about the drive's origin; `run` numbers the passes.
 """
 
 from pathlib import Path
@@ -13,7 +13,7 @@ from fgloc.errors import DriveError, InputError
 from fgloc.perception.idw import Calibration
 
 CENTRE, PLACE = ("u_px", "v_px"), ("east_m", "north_m")
-_LAYOUT = Layout((Group.of(*CENTRE), Group.of(*PLACE)))
+_LAYOUT = Layout((Group.of(*CENTRE), Group.of(*PLACE), Group.of("run", required=False)))
 
 
 def read_calibration(path: str | Path) -> Calibration:
@@ -26,7 +26,7 @@ def read_calibration(path: str | Path) -> Calibration:
     columns = read_csv(path, _LAYOUT)
     u_px, p_world_m = stack(columns, CENTRE), stack(columns, PLACE)
     try:
-        return Calibration(u_px, p_world_m)
+        return Calibration(u_px, p_world_m, columns.get("run"))
     except InputError as err:
         raise DriveError(f"{path}: {err}") from err
 
@@ -34,4 +34,6 @@ def read_calibration(path: str | Path) -> Calibration:
 def write_calibration(calibration: Calibration, path: str | Path) -> None:
     """Write a calibration set so that it reads back exactly."""
     columns = unstack(CENTRE, calibration.u_px) | unstack(PLACE, calibration.p_world_m)
+    if calibration.run is not None:
+        columns["run"] = calibration.run
     write_csv(Path(path), columns)

@@ -39,6 +39,14 @@ _INFOS = (
         "plain simulated drive: GNSS 10 Hz, IMU 100 Hz, wheel speed 50 Hz; option duration_s",
     ),
     DatasetInfo(
+        "marr2019/iea", "scenario", 20.0, ("gnss", "velocity", "detections"), "MIT",
+        "two roadside cameras without a model (Marr 2019); options calibration_passes, power",
+    ),
+    DatasetInfo(
+        "marr2019/smart-code", "scenario", 11.1, ("gnss", "velocity", "smart_codes"), "MIT",
+        "a camera reads three signs (Marr 2019); options path, camera_yaw_deg, quantised, ...",
+    ),
+    DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
     ),
@@ -87,7 +95,11 @@ _IMPORTERS = {
 }
 """Module and function of each format."""
 
-_SCENARIOS = {"city": "city.make_city"}
+_SCENARIOS = {
+    "city": "city.make_city",
+    "marr2019/iea": "marr2019_iea.make_marr2019_iea",
+    "marr2019/smart-code": "marr2019_smart_code.make_marr2019_smart_code",
+}
 """Module and function of each scenario."""
 
 _WITHOUT_FOLDER = {"kitti"}

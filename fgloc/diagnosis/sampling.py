@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fgloc.diagnosis.finding import Finding, fault, remark, robust_sigma, rows_of, warning
 from fgloc.drive import Drive
-from fgloc.measurements import Array, GnssFixes, ImuSamples, Table
+from fgloc.measurements import Array, GnssFixes, ImuSamples, NodeDetections, Table
 from fgloc.timing import NS_PER_S
 
 SLOWEST_HZ = {"gnss": 0.1, "imu": 20.0, "wheel": 1.0}
@@ -108,12 +108,17 @@ def check_gaps(drive: Drive) -> Iterator[Finding]:
 def check_duplicates(drive: Drive) -> Iterator[Finding]:
     """Rows of an instant that another row has told of already."""
     for name, table in drive.tables.items():
-        repeats = np.flatnonzero(np.diff(table.t_ns) == 0) + 1
+        if isinstance(table, NodeDetections):
+            continue  # a node sees many at once, and need not number them
+        # Of one instant are the ranges to all anchors, the codes on all signs.
+        told = np.stack([table.t_ns, *(getattr(table, what) for what in sorted(table.WHOLE))])
+        _, first = np.unique(told, axis=1, return_index=True)
+        repeats = np.setdiff1d(np.arange(len(table)), first)
         if len(repeats):
             yield warning(
                 "duplicate",
                 name,
-                f"t_ns of the row before is repeated in {rows_of(table, repeats)}",
+                f"t_ns of an earlier row is repeated in {rows_of(table, repeats)}",
                 "remove them, or stamp with more digits; of such rows only the first is used",
             )
 

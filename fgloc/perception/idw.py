@@ -34,14 +34,19 @@ SPACING_QUANTILE = 0.9
 class Calibration:
     """Box centres (N, 2) in px and positions (N, 2) East and North in m that belong together.
 
-    Raises InputError where shapes do not fit, there are fewer than four pairs, or one is not
-    finite.
+    `run` (N,) numbers the passes of the calibration drive, or is None. Raises InputError where
+    shapes do not fit, there are fewer than four pairs, or one is not finite.
     """
 
     u_px: Array
     p_world_m: Array
+    run: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
+        if self.run is not None:
+            object.__setattr__(self, "run", freeze(self.run, np.int64))
+            if self.run.shape != self.u_px.shape[:1]:
+                raise InputError(f"calibration: run has shape {self.run.shape}, expected (N,)")
         for name in ("u_px", "p_world_m"):
             object.__setattr__(self, name, freeze(getattr(self, name)))
         if self.u_px.shape != self.p_world_m.shape or self.u_px.shape[1:] != (2,):
@@ -59,6 +64,11 @@ class Calibration:
 
     def __len__(self) -> int:
         return len(self.u_px)
+
+    def take(self, rows: NDArray[np.bool_]) -> "Calibration":
+        """The pairs that a mask (N,) selects."""
+        run = None if self.run is None else self.run[rows]
+        return Calibration(self.u_px[rows], self.p_world_m[rows], run)
 
 
 class PixelMap(Protocol):

@@ -2,9 +2,11 @@
 
 Each calibration point is placed by all the others; around a centre, the mean outer product of
 these errors is the covariance of what the map says there. It grows where a pixel covers more road,
-and where the boxes of two passes differ.
+and where the boxes of two passes differ. Where the calibration numbers its passes, all of a point's
+own pass is left out: its neighbours in time stand closer than any point of another drive will.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +20,18 @@ NEIGHBOURS = 30
 """Errors that are averaged: a sigma from 30 of them is known to 13 %."""
 LEAST_SIGMA_M = 0.05
 """What the survey of the calibration drive is good for; no covariance is smaller."""
+
+
+def left_out(kind: Callable[[Calibration], PixelMap], calibration: Calibration) -> Array:
+    """Positions (N, 2) of the calibration's centres, each by a map without it, or without its
+    whole pass where passes are numbered. Raises InputError where there is only one pass."""
+    if calibration.run is None:
+        return kind(calibration).without_own()
+    placed = np.empty_like(calibration.p_world_m)
+    for run in np.unique(calibration.run):
+        own = calibration.run == run
+        placed[own] = kind(calibration.take(~own)).place(calibration.u_px[own])
+    return placed
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +59,11 @@ class ErrorMap:
 
     @classmethod
     def of(
-        cls, one: PixelMap, calibration: Calibration, neighbours: int = NEIGHBOURS
-    ) -> "ErrorMap":
-        """The error map of a pixel map that was made from `calibration`."""
-        return cls(calibration, one.without_own() - calibration.p_world_m, neighbours)
+        cls, kind: Callable[[Calibration], PixelMap], calibration: Calibration,
+        neighbours: int = NEIGHBOURS,
+    ) -> "ErrorMap":  # fmt: skip
+        """The error map of the pixel map that `kind` makes of a calibration."""
+        return cls(calibration, left_out(kind, calibration) - calibration.p_world_m, neighbours)
 
     def covariance_m2(self, u_px: ArrayLike) -> Array:
         """(M, 2, 2) East and North in m^2 of what the map says at centres (M, 2), positive."""

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fgloc.datasets.calibration_set import read_calibration, write_calibration
 from fgloc.errors import DriveError, InputError
 from fgloc.perception.idw import Calibration, IdwMap
-from fgloc.perception.map_error import LEAST_SIGMA_M, ErrorMap
+from fgloc.perception.map_error import LEAST_SIGMA_M, ErrorMap, left_out
 from fgloc.perception.pixel_maps import HomographyMap, LinearMap
 
 SQUARE_PX = np.array([[0.0, 0], [10, 0], [0, 10], [10, 10]])
@@ -110,9 +110,17 @@ def test_leaving_one_out_is_a_map_of_the_others(kind):
     )  # fmt: skip
 
 
+def test_with_numbered_passes_all_of_a_points_own_pass_is_left_out():
+    calibration, run = road(40), np.arange(40) % 4
+    numbered = Calibration(calibration.u_px, calibration.p_world_m, run)
+    placed, own = left_out(IdwMap, numbered), run == 2
+    others = IdwMap(calibration.take(~own))
+    np.testing.assert_array_equal(placed[own], others.place(calibration.u_px[own]))
+
+
 def test_the_covariance_is_that_of_the_errors_left_out():
     calibration = road(3000, noise_m=0.4)
-    errors = ErrorMap.of(IdwMap(calibration), calibration, neighbours=300)
+    errors = ErrorMap.of(IdwMap, calibration, neighbours=300)
     cov = errors.covariance_m2([[250.0, 250.0]])[0]
     # A mean of several noisy positions less a noisy one: between 1 and 2 times 0.4 m squared,
     # and a little for the map's own error between points.
@@ -122,7 +130,7 @@ def test_the_covariance_is_that_of_the_errors_left_out():
 
 def test_the_covariance_is_positive_even_where_nothing_errs():
     calibration = Calibration(SQUARE_PX, np.zeros((4, 2)))
-    cov = ErrorMap.of(IdwMap(calibration), calibration).covariance_m2([[5.0, 5.0]])
+    cov = ErrorMap.of(IdwMap, calibration).covariance_m2([[5.0, 5.0]])
     np.testing.assert_allclose(cov, [LEAST_SIGMA_M**2 * np.eye(2)])
 
 
@@ -158,6 +166,13 @@ def test_a_calibration_file_is_read_back_exactly(tmp_path):
     again = read_calibration(tmp_path / "camera.csv")
     np.testing.assert_array_equal(again.u_px, calibration.u_px)
     np.testing.assert_array_equal(again.p_world_m, calibration.p_world_m)
+    assert again.run is None
+
+
+def test_a_calibration_file_keeps_the_passes(tmp_path):
+    calibration = Calibration(SQUARE_PX, SQUARE_PX, np.array([0, 0, 1, 1]))
+    write_calibration(calibration, tmp_path / "camera.csv")
+    np.testing.assert_array_equal(read_calibration(tmp_path / "camera.csv").run, [0, 0, 1, 1])
 
 
 @pytest.mark.parametrize(
