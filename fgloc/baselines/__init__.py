@@ -13,7 +13,13 @@ from fgloc.result import Result
 
 __all__ = ["RAW", "available", "check", "run"]
 
-_METHODS: dict[str, str] = {}
+_METHODS: dict[str, str] = {
+    "marr2019-iea": "marr2019_iea.run",
+    "marr2019-iea:10hz": "marr2019_iea.run_10_hz",
+    "marr2019-smart-code": "marr2019_smart_code.run",
+    "marr2019-smart-code:all-signs": "marr2019_smart_code.run_all_signs",
+    "marr2019-smart-code:plain-start": "marr2019_smart_code.run_plain_start",
+}
 """Module and function of each method: from a drive to its result, `summary` without wall time."""
 
 RAW = "raw:"
