@@ -82,6 +82,14 @@ _INFOS = (
         "nmea", "importer", None, ("gnss",), "the source's",
         "NMEA-0183 log with GGA, RMC, GST; IMU from a CSV of ours (--imu, --imu-noise)",
     ),
+    DatasetInfo(
+        "outdoor-uwb", "importer", None, ("ranges",), "Apache-2.0",
+        "one run's folder of the UWB-dataset: ranges to four anchors; truth where it is scored",
+    ),
+    DatasetInfo(
+        "plaza", "importer", None, ("odometry", "ranges"), "as the gtsam wheel",
+        "source 1 or 2: ranges to four anchors and odometry of a mower, from the gtsam wheel",
+    ),
 )  # fmt: skip
 
 _IMPORTERS = {
@@ -92,6 +100,8 @@ _IMPORTERS = {
     "euroc": "euroc.import_euroc",
     "rtklib-pos": "rtklib_pos.import_rtklib_pos",
     "nmea": "nmea.import_nmea",
+    "outdoor-uwb": "outdoor_uwb.import_outdoor_uwb",
+    "plaza": "plaza.import_plaza",
 }
 """Module and function of each format."""
 

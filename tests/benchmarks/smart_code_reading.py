@@ -1,13 +1,15 @@
+# ruff: noqa: T201
 """How often Smart Codes are read, and how well they tell the range: rendered images by distance.
 
     python tests/benchmarks/smart_code_reading.py --images 20000
 
-Half of the images show a 22 in code, half a 5 in code, at random places and turns, blurred by 0.6 px,
-with noise of 4 grey levels and bright clutter. Prints read rate, wrong reads and range errors.
+Half of the images show a 22 in code, half a 5 in code, at random places and turns, blurred by
+0.6 px, with noise of 4 grey levels and bright clutter. Prints read rate, wrong reads, range errors.
 """
 
 import argparse
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +34,7 @@ def main() -> None:
     print("code in m  distance in m  images  read in %  wrong  range error mean / std in m")
     for size_m, edges in BINS_M.items():
         count = given.images // 2 // (len(edges) - 1)
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
+        for low, high in pairwise(edges):
             print(line(reader, size_m, low, high, count, rng), flush=True)
 
 

@@ -116,6 +116,7 @@ def test_every_importer_is_listed_and_can_be_called():
     listed = {info.name for info in available() if info.kind == "importer"}
     assert listed == {
         "mems-rtk", "comma2k19", "kitti", "kitti-raw", "euroc", "rtklib-pos", "nmea",
+        "outdoor-uwb", "plaza",
     }  # fmt: skip
     for name in listed - {"kitti"}:
         with pytest.raises(InputError, match=r"no such file|name a TUM|has neither|holds no"):
