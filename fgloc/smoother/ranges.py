@@ -28,11 +28,10 @@ from fgloc.smoother.ranges_model import (
     OdometrySteps,
     RangeModel,
     RangeSettings,
-    linearize,
     range_errors,
 )
 from fgloc.smoother.ranges_solve import covariances
-from fgloc.smoother.ranges_start import optimize, start
+from fgloc.smoother.ranges_start import optimize, start, with_priors
 from fgloc.timing import Instants, seconds_to_ns
 from fgloc.trajectory import Trajectory
 from fgloc.verdicts import SourceVerdicts, Verdict, counts
@@ -133,11 +132,7 @@ def _globals(drive: Drive, globals_: Array) -> dict[str, object]:
 
 
 def _whole(model: RangeModel, states: Array, globals_: Array) -> Trajectory:
-    blocks = linearize(model, states, globals_, 0)
-    _, sigma = model.prior
-    blocks.globals_ += np.diag(sigma**-2.0)
-    blocks.diagonal[0] += np.eye(states.shape[1]) / model.settings.start_sigma**2
-    cov, _ = covariances(blocks)
+    cov, _ = covariances(with_priors(model, states, globals_))
     return _trajectory(model, states, cov, 0)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fgloc.measurements import Array
-from fgloc.smoother.ranges_model import Blocks, RangeModel, linearize
+from fgloc.smoother.ranges_model import Blocks, WindowModel
 from fgloc.smoother.ranges_solve import marginal_prior, newest_covariance, step
 
 ITERATIONS = 2
@@ -48,9 +48,9 @@ class LagRun:
     globals_: Array
 
 
-def run_lag(model: RangeModel, states: Array, globals_: Array, lag_s: float) -> LagRun:
+def run_lag(model: WindowModel, states: Array, globals_: Array, lag_s: float) -> LagRun:
     """From the states (n, m) of the drive's first part on to its end."""
-    keep = max(round(lag_s / model.settings.interval_s), 2)
+    keep = max(round(lag_s / model.interval_s), 2)
     n, total = len(states), len(model.epochs_ns)
     last = np.zeros((total, states.shape[1]))
     last[:n] = states
@@ -73,20 +73,22 @@ def run_lag(model: RangeModel, states: Array, globals_: Array, lag_s: float) -> 
     return LagRun(newest, cov, n - 1, last, globals_)
 
 
-def _blocks(model: RangeModel, states: Array, globals_: Array, first: int, prior: _Prior) -> Blocks:
-    blocks = linearize(model, states, globals_, first)
+def _blocks(
+    model: WindowModel, states: Array, globals_: Array, first: int, prior: _Prior
+) -> Blocks:
+    blocks = model.linearize(states, globals_, first)
     prior.add_to(blocks, states[0], globals_)
     return blocks
 
 
-def _first_prior(model: RangeModel, state: Array, globals_: Array) -> _Prior:
+def _first_prior(model: WindowModel, state: Array, globals_: Array) -> _Prior:
     mean, sigma = model.prior
     m = len(state)
-    information = np.diag(np.r_[np.full(m, model.settings.start_sigma**-2.0), sigma**-2.0])
+    information = np.diag(np.r_[np.full(m, model.start_sigma**-2.0), sigma**-2.0])
     return _Prior(state, globals_, information, np.r_[np.zeros(m), (globals_ - mean) / sigma**2])
 
 
-def _slide(model: RangeModel, pair: Array, globals_: Array, first: int, prior: _Prior) -> _Prior:
+def _slide(model: WindowModel, pair: Array, globals_: Array, first: int, prior: _Prior) -> _Prior:
     """The prior on the second of two states, once the first has left the window."""
     blocks = _blocks(model, pair, globals_, first, prior)
     return _Prior(pair[1].copy(), globals_, *marginal_prior(blocks))

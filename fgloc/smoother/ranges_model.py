@@ -76,6 +76,39 @@ class Motion(Protocol):
         ...
 
 
+class WindowModel(Protocol):
+    """A planar graph that is solved window by window."""
+
+    @property
+    def epochs_ns(self) -> Instants:
+        """(N,) even instants of the states."""
+        ...
+
+    @property
+    def motion(self) -> Motion:
+        """What ties each state to the next."""
+        ...
+
+    @property
+    def interval_s(self) -> float:
+        """Between epochs."""
+        ...
+
+    @property
+    def start_sigma(self) -> float:
+        """Of a prior on the first state that says next to nothing."""
+        ...
+
+    @property
+    def prior(self) -> tuple[Array, Array]:
+        """Means and standard deviations (G,) of the globals."""
+        ...
+
+    def linearize(self, states: Array, globals_: Array, first: int) -> Blocks:
+        """All that ties the states (N, m) from the epoch `first` on, without priors."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class ConstantVelocity:
     """White noise on the acceleration, of a density in m/s^2 per sqrt(Hz), over even steps."""
@@ -193,6 +226,25 @@ class RangeModel:
                       np.full(self.anchors, s.bias_sigma_m)]  # fmt: skip
         return mean, sigma
 
+    @property
+    def interval_s(self) -> float:
+        """Between epochs."""
+        return self.settings.interval_s
+
+    @property
+    def start_sigma(self) -> float:
+        """Of the prior on the first state."""
+        return self.settings.start_sigma
+
+    def linearize(self, states: Array, globals_: Array, first: int) -> Blocks:
+        """Motion and ranges of a window of states (N, m) from the epoch `first` on."""
+        blocks = motion_blocks(self.motion, states, globals_, first)
+        if len(states) > 1:
+            rows = slice(self.first_row[first], self.first_row[first + len(states) - 1])
+            told = range_errors(self, states, globals_, first, rows)
+            add_robust(blocks, self.epoch[rows] - first, told, self.settings.loss_width)
+        return blocks
+
 
 @dataclass(eq=False)
 class Blocks:
@@ -211,19 +263,17 @@ class Blocks:
     cost: float
 
 
-def linearize(model: RangeModel, states: Array, globals_: Array, first: int) -> Blocks:
-    """Motion and ranges of a window of states (N, m) from the epoch `first` on, without priors."""
+def motion_blocks(motion: Motion, states: Array, globals_: Array, first: int) -> Blocks:
+    """The motion of a window of states (N, m) from the epoch `first` on."""
     n, m = states.shape
     blocks = Blocks(
         np.zeros((n, m, m)), np.zeros((n - 1, m, m)), np.zeros((n, m, len(globals_))),
         np.zeros((len(globals_),) * 2), np.zeros((n, m)), np.zeros(len(globals_)), 0.0,
     )  # fmt: skip
     if n > 1:
-        step = model.motion.between(states, globals_, first)
+        step = motion.between(states, globals_, first)
         _add(blocks, np.arange(n - 1), step)
         blocks.cost += float((step.error**2).sum() / 2)
-        rows = slice(model.first_row[first], model.first_row[first + n - 1])
-        _add_ranges(blocks, model, states, globals_, first, rows)
     return blocks
 
 
@@ -248,14 +298,12 @@ def range_errors(
     return _weighed(Between(told.error, by_first, by_second, by_globals), root)
 
 
-def _add_ranges(
-    blocks: Blocks, model: RangeModel, states: Array, globals_: Array, first: int, rows: slice
-) -> None:
-    told = range_errors(model, states, globals_, first, rows)
-    norm, width = np.abs(told.error[:, 0]), model.settings.loss_width
+def add_robust(blocks: Blocks, i: NDArray[np.int64], told: Between, width: float) -> None:
+    """Add whitened rows that tie states i (R,), i + 1 and the globals, under a Cauchy loss on the
+    norm of each."""
+    norm = np.linalg.norm(told.error, axis=1)
     blocks.cost += float(cost(norm, "cauchy", width).sum())
-    weighed = _weighed(told, np.sqrt(weight(norm, "cauchy", width)))
-    _add(blocks, model.epoch[rows] - first, weighed)
+    _add(blocks, i, _weighed(told, np.sqrt(weight(norm, "cauchy", width))))
 
 
 def _weighed(told: Between, root: Array) -> Between:

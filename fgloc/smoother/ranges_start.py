@@ -3,7 +3,7 @@
 import numpy as np
 
 from fgloc.measurements import Array
-from fgloc.smoother.ranges_model import Blocks, OdometrySteps, RangeModel, linearize
+from fgloc.smoother.ranges_model import Blocks, OdometrySteps, RangeModel, WindowModel
 from fgloc.smoother.ranges_solve import step
 
 REACH_M, GRID_M, PLACES, HEADINGS = 80.0, 2.0, 4, 8
@@ -26,14 +26,14 @@ def start(model: RangeModel) -> tuple[Array, Array]:
 
 
 def optimize(
-    model: RangeModel, states: Array, globals_: Array, iterations: int = ITERATIONS
+    model: WindowModel, states: Array, globals_: Array, iterations: int = ITERATIONS
 ) -> tuple[Array, Array, float]:
     """States (N, m) and globals (G,) that cost least, from the first epoch on, and what they cost:
     Levenberg-Marquardt."""
-    damping, blocks = 1e-3, _with_priors(model, states, globals_)
+    damping, blocks = 1e-3, with_priors(model, states, globals_)
     for _ in range(iterations):
         d_states, d_globals = step(blocks, damping)
-        moved = _with_priors(model, states + d_states, globals_ + d_globals)
+        moved = with_priors(model, states + d_states, globals_ + d_globals)
         if moved.cost > blocks.cost:
             damping *= 10
             if damping > 1e6:
@@ -47,13 +47,14 @@ def optimize(
     return states, globals_, blocks.cost
 
 
-def _with_priors(model: RangeModel, states: Array, globals_: Array) -> Blocks:
-    blocks = linearize(model, states, globals_, 0)
+def with_priors(model: WindowModel, states: Array, globals_: Array) -> Blocks:
+    """The whole drive's equations, with what is known beforehand."""
+    blocks = model.linearize(states, globals_, 0)
     mean, sigma = model.prior
     blocks.globals_ += np.diag(sigma**-2.0)
     blocks.gradient_globals += (globals_ - mean) / sigma**2
     blocks.cost += float((((globals_ - mean) / sigma) ** 2).sum() / 2)
-    blocks.diagonal[0] += np.eye(states.shape[1]) / model.settings.start_sigma**2
+    blocks.diagonal[0] += np.eye(states.shape[1]) / model.start_sigma**2
     return blocks
 
 

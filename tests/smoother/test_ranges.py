@@ -11,7 +11,7 @@ from fgloc.infrastructure import Anchor, Infrastructure
 from fgloc.measurements import Odometry, Ranges
 from fgloc.smoother.ranges import SETTINGS, build, smooth_ranges
 from fgloc.smoother.ranges_lag import run_lag
-from fgloc.smoother.ranges_model import SCALE, linearize
+from fgloc.smoother.ranges_model import SCALE
 from fgloc.smoother.ranges_solve import covariances, marginal_prior, step
 from fgloc.smoother.ranges_start import optimize, start
 from fgloc.timing import NS_PER_S
@@ -65,11 +65,11 @@ def random_window(odometry: bool, n=7):
 @pytest.mark.parametrize("odometry", [False, True])
 def test_gradients_are_the_differences_of_the_cost(odometry):
     model, states, globals_ = random_window(odometry)
-    blocks = linearize(model, states, globals_, 10)
+    blocks = model.linearize(states, globals_, 10)
 
     def cost_at(change):
         n = states.size
-        return linearize(model, states + change[:n].reshape(states.shape),
+        return model.linearize(states + change[:n].reshape(states.shape),
                          globals_ + change[n:], 10).cost  # fmt: skip
 
     told = np.r_[blocks.gradient.ravel(), blocks.gradient_globals]
@@ -96,7 +96,7 @@ def dense(blocks):
 def held(odometry: bool, n: int):
     """Blocks of a window with priors on its first state and the globals."""
     model, states, globals_ = random_window(odometry, n)
-    blocks = linearize(model, states, globals_, 10)
+    blocks = model.linearize(states, globals_, 10)
     blocks.globals_ += np.eye(len(globals_))
     blocks.diagonal[0] += np.eye(model.motion.size)
     return blocks
