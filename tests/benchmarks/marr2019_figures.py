@@ -20,21 +20,27 @@ from fgloc.factors.smart_code import Reading, head_on, locate
 
 SEED = 0
 NOTES = {
-    "2.9": "Agrees: most are within 1 m to about 50 m, two thirds are to 100 m, and beyond some are "
-    "7 to 10 m off. Differs: the boxes' noise was chosen so that it does; the thesis's is unknown.",
-    "3.12": "Agrees: the large code is the best at every distance, and within half a metre over the "
-    "last 20 m. Differs: no bias is left, since the simulated pixels are exact but for rounding.",
-    "3.13": "Agrees: far positions lie on a few straight lines, one for each difference of height "
-    "and width in whole pixels. Differs: near the signs ours are closer to the path.",
-    "3.14": "Agrees: the range itself stays within a metre far out, and scatters less on the way in. "
-    "Differs: the thesis's bias of just under 1 m near the sign does not appear (here 0.00 m).",
-    "4.2": "Agrees: the filter starts as far off as the GPS, is within 1 m after 3 to 5 s, and much "
-    "smoother than the detections. Differs: at 100 steps a second; at 10 it would take 20 s.",
-    "4.4": "Agrees: the filter is much smoother than the reads, and small signs change it little. "
-    "Differs: the thesis's starts metres off and goes on converging after the last read; ours starts "
-    "well, as reads are carried forward, and after the last read drifts with its heading's error.",
-    "4.6": "Agrees: single reads are up to 6 m off far out, and the mean of the first ten is not. "
-    "Differs: ours stays within half a metre, and small signs do it no harm.",
+    "2.9": "Agrees: most are within 1 m to about 50 m, two thirds are to 100 m, and beyond some "
+    "are 7 to 10 m off. Differs: the boxes' noise was chosen so that it does; the "
+    "thesis's is unknown.",
+    "3.12": "Agrees: the large code is the best at every distance, and within half a metre over "
+    "the last 20 m. Differs: no bias is left, since the simulated pixels are exact but "
+    "for rounding.",
+    "3.13": "Agrees: far positions lie on a few straight lines, one for each difference of height"
+    " and width in whole pixels. Differs: how far the lines lie apart depends on the "
+    "focal length, which is not printed.",
+    "3.14": "Agrees: the range itself stays within a metre far out, and scatters less on the way "
+    "in. Differs: the thesis's bias of just under 1 m near the sign does not appear (here"
+    " 0.00 m).",
+    "4.2": "Agrees: the filter starts as far off as the GPS, is within 1 m after 3 to 5 s, and "
+    "much smoother than the detections. Differs: at 100 steps a second; at 10 it would "
+    "take 20 s.",
+    "4.4": "Agrees: the filter is much smoother than the reads, and small signs change it "
+    "little. Differs: the thesis's starts metres off and goes on converging after the "
+    "last read; ours starts well, as reads are carried forward, and after the last read "
+    "drifts with its heading's error.",
+    "4.6": "Agrees: single reads are up to 6 m off far out, and the mean of the first ten is "
+    "not. Differs: ours stays within half a metre, and small signs do it no harm.",
 }
 
 
