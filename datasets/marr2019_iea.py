@@ -30,6 +30,8 @@ from fgloc.timing import Instants, seconds_to_ns
 START_NS = 1_546_300_800 * 1_000_000_000
 ORIGIN = Origin(30.638, -96.478, 60.0)
 ROAD_M, SPEED_MPS, SOUTH_RAD = 200.0, 10.0, -np.pi / 2
+RANGE_M = 250.0
+"""To the end of the road from either post: what is far is for the covariance to tell."""
 LANE_M = 3.6
 LANES_EAST_M = (0.0, LANE_M)
 CHANGES = 3
@@ -73,7 +75,7 @@ def make_marr2019_iea(
     motion = iea_motion(seed)
     rig = Rig(np.array(P_VEH_ANT_M), p_veh_box_m=np.array(P_VEH_ANT_M), gnss_bias=GNSS_BIAS)
     nodes = tuple(
-        Node(f"mssp{i + 1}", np.array(camera.p_world_m), range_m=ROAD_M)
+        Node(f"mssp{i + 1}", np.array(camera.p_world_m), range_m=RANGE_M)
         for i, camera in enumerate(CAMERAS)
     )
     detections, refused = _detections(motion, nodes, seed, calibration_passes, power)
