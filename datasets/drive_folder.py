@@ -18,7 +18,9 @@ from fgloc.datasets.drive_tables import (
     objects_from_columns,
     odometry_from_columns,
     origin_from_first_fix,
+    ranges_from_columns,
     relative_from_columns,
+    smart_codes_from_columns,
     steering_from_columns,
     table_to_columns,
     velocity_from_columns,
@@ -263,10 +265,12 @@ def _table(
 ) -> Table:
     if stem == "gnss":
         return gnss_from_columns(path, columns, origin)
-    if stem == "detections":
-        return detections_from_columns(path, columns, infrastructure)
-    if stem == "node_poses":
-        return poses_from_columns(path, columns, infrastructure)
+    roadside = {
+        "detections": detections_from_columns, "node_poses": poses_from_columns,
+        "smart_codes": smart_codes_from_columns, "ranges": ranges_from_columns,
+    }  # fmt: skip
+    if stem in roadside:
+        return roadside[stem](path, columns, infrastructure)
     readers = {
         "imu": imu_from_columns, "wheel": wheel_from_columns, "steering": steering_from_columns,
         "odometry": odometry_from_columns, "velocity": velocity_from_columns,

@@ -31,7 +31,9 @@ from fgloc.measurements import (
     NodePoses,
     ObjectTruth,
     Odometry,
+    Ranges,
     RelativeSightings,
+    SmartCodeSightings,
     SteeringAngles,
     Table,
     WheelSpeeds,
@@ -45,6 +47,9 @@ GYRO = ("gyro_x_radps", "gyro_y_radps", "gyro_z_radps")
 RATES = ("speed_mps", "yaw_rate_radps", "sigma_speed_mps", "sigma_yaw_rate_radps")
 NAMES = ("node", "object_id", "kind")
 SEEN, SEEN_WORLD = ("x_m", "y_m"), ("east_m", "north_m")
+CODE_SIZE = ("height_px", "width_px")
+CORNERS = tuple(f"{axis}{i}_px" for i in range(4) for axis in "uv")
+RANGE = ("range_m", "sigma_m")
 SEEN_COVARIANCE = ("cov_xx_m2", "cov_xy_m2", "cov_yy_m2")
 PLANE_VELOCITY = ("v_east_mps", "v_north_mps")
 
@@ -73,6 +78,8 @@ LAYOUTS = {
     ),
     "relative": Layout((*_TIME, Group.of(*NAMES[1:]), Group.of(*SEEN), Group.of(*SEEN_COVARIANCE))),
     "node_poses": POSES,
+    "smart_codes": Layout((*_TIME, Group.of("sign"), Group.of(*CODE_SIZE), Group.of(*CORNERS))),
+    "ranges": Layout((*_TIME, Group.of("anchor"), Group.of(*RANGE))),
 }
 """Columns of each kind of table. `received_ns` left out means: received when it was true."""
 
@@ -112,6 +119,12 @@ def table_to_columns(table: Table) -> Columns:
         return columns | unstack(PLANE_VELOCITY, table.v_world_mps)
     if isinstance(table, NodePoses):
         return columns | pose_columns(table)
+    if isinstance(table, SmartCodeSightings):
+        names = ("sign", *CODE_SIZE)
+        corners = unstack(CORNERS, table.corners_px.reshape(-1, 8))
+        return columns | {name: getattr(table, name) for name in names} | corners
+    if isinstance(table, Ranges):
+        return columns | {name: getattr(table, name) for name in ("anchor", *RANGE)}
     raise DriveError(f"a drive folder has no file for a table of kind {table.KIND!r}")
 
 
@@ -224,6 +237,44 @@ def objects_from_columns(path: Path, columns: Columns) -> ObjectTruth:
     return ObjectTruth(*_times(columns), columns["object_id"], p, v)
 
 
+def smart_codes_from_columns(
+    path: Path, columns: Columns, infrastructure: Infrastructure
+) -> SmartCodeSightings:
+    """Smart Codes of a table read from `path`.
+
+    Raises DriveError naming the first row of a sign that the drive does not have, or of no size.
+    """
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    _check_known(path, columns["sign"], "sign", len(infrastructure.signs))
+    _check_positive(path, columns, CODE_SIZE, "a size")
+    corners = stack(columns, CORNERS).reshape(-1, 4, 2)
+    height_px, width_px = (columns[name] for name in CODE_SIZE)
+    return SmartCodeSightings(*_times(columns), columns["sign"], height_px, width_px, corners)
+
+
+def ranges_from_columns(path: Path, columns: Columns, infrastructure: Infrastructure) -> Ranges:
+    """Ranges of a table read from `path`.
+
+    Raises DriveError naming the first row of an anchor that the drive does not have, of a range
+    below 0 or of a sigma that is not above 0.
+    """
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    _check_known(path, columns["anchor"], "anchor", len(infrastructure.anchors))
+    _check_positive(path, columns, RANGE[:1], "a distance")
+    _check_positive(path, columns, RANGE[1:])
+    return Ranges(*_times(columns), columns["anchor"], *(columns[name] for name in RANGE))
+
+
+def _check_known(path: Path, numbers: NDArray[np.int64], what: str, have: int) -> None:
+    unknown = (numbers < 0) | (numbers >= have)
+    if unknown.any():
+        row = int(np.argmax(unknown))
+        raise DriveError(
+            f"{place(path, row)}: {what} = {numbers[row]}, but drive.toml has {have} "
+            f"[[{what}]], counted from 0; add it there or remove the row"
+        )
+
+
 def _seen(columns: Columns, infrastructure: Infrastructure) -> Array:
     """(N, 2) in the node's axes, from these or from East and North."""
     if SEEN[0] in columns:
@@ -305,14 +356,15 @@ def _covariance(path: Path, columns: Columns) -> Array:
     return stack(columns, SIGMA)[:, :, None] ** 2 * np.eye(3)
 
 
-def _check_positive(path: Path, columns: Columns, names: tuple[str, ...]) -> None:
+def _check_positive(
+    path: Path, columns: Columns, names: tuple[str, ...], what: str = "a standard deviation"
+) -> None:
     for name in names:
         bad = columns[name] <= 0
         if bad.any():
             row = int(np.argmax(bad))
             raise DriveError(
-                f"{place(path, row)}: {name} = {columns[name][row]}; "
-                "a standard deviation must be above 0"
+                f"{place(path, row)}: {name} = {columns[name][row]}; {what} must be above 0"
             )
 
 

@@ -10,13 +10,14 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field
 
 from fgloc.config import validate
-from fgloc.drive import About, Drive, GnssBias, ImuNoise, Rig
+from fgloc.drive import About, Camera, Drive, GnssBias, ImuNoise, Rig
 from fgloc.errors import ConfigError, DriveError, InputError
 from fgloc.frames import HEIGHT_LIMITS_M, LATITUDE_LIMITS_DEG, LONGITUDE_LIMITS_DEG, Origin
-from fgloc.infrastructure import Infrastructure, Node, Post
+from fgloc.infrastructure import Anchor, Infrastructure, Node, Post, Sign
 
 FILE_NAME = "drive.toml"
 
+Vector2 = Annotated[list[float], Field(min_length=2, max_length=2)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Row4 = Annotated[list[float], Field(min_length=4, max_length=4)]
 Matrix4 = Annotated[list[Row4], Field(min_length=4, max_length=4)]
@@ -64,6 +65,15 @@ class GnssBiasPart(_Part):
     tau_s: float = Field(gt=0)
 
 
+class CameraPart(_Part):
+    """[rig.camera]: the fields of `Camera`."""
+
+    focal_px: float = Field(gt=0)
+    principal_px: Vector2
+    p_veh_cam_m: Vector3
+    yaw_rad: float = Camera.yaw_rad
+
+
 class RigPart(_Part):
     """[rig]: where the sensors sit."""
 
@@ -72,6 +82,8 @@ class RigPart(_Part):
     T_veh_imu: Matrix4 = np.eye(4).tolist()
     imu_noise: ImuNoisePart | None = None
     gnss_bias: GnssBiasPart | None = None
+    camera: CameraPart | None = None
+    p_veh_tag_m: Vector3 = [0.0, 0.0, 0.0]
 
 
 class NodePart(_Part):
@@ -101,6 +113,24 @@ class PostPart(_Part):
     load_tau_s: float = Field(gt=0)
 
 
+class SignPart(_Part):
+    """[[sign]]: the fields of `Sign`."""
+
+    name: str = Field(min_length=1)
+    code: str = Field(pattern="^[0-9a-f]+$")
+    p_world_m: Vector3
+    normal_yaw_rad: float
+    size_m: float = Field(gt=0)
+    side: Literal["left", "right"] = Sign.side
+
+
+class AnchorPart(_Part):
+    """[[anchor]]: the fields of `Anchor`."""
+
+    name: str = Field(min_length=1)
+    p_world_m: Vector3
+
+
 class TruthPart(_Part):
     """[truth]: of which point of the vehicle it tells."""
 
@@ -117,6 +147,8 @@ class DriveToml(_Part):
     rig: RigPart = RigPart()
     node: list[NodePart] = []
     post: list[PostPart] = []
+    sign: list[SignPart] = []
+    anchor: list[AnchorPart] = []
     truth: TruthPart | None = None
 
 
@@ -141,8 +173,12 @@ def to_rig(path: Path, part: RigPart) -> Rig:
         raise DriveError(f"{path}: the last row of rig.T_veh_imu must be [0, 0, 0, 1]")
     noise = ImuNoise(**part.imu_noise.model_dump()) if part.imu_noise else None
     bias = GnssBias(**part.gnss_bias.model_dump()) if part.gnss_bias else None
+    camera = Camera(**part.camera.model_dump()) if part.camera else None
     try:
-        return Rig(np.array(part.p_veh_ant_m), T_veh_imu, noise, np.array(part.p_veh_box_m), bias)
+        return Rig(
+            np.array(part.p_veh_ant_m), T_veh_imu, noise, np.array(part.p_veh_box_m), bias, camera,
+            np.array(part.p_veh_tag_m),
+        )  # fmt: skip
     except InputError as err:
         raise DriveError(f"{path}: {err}") from err
 
@@ -155,8 +191,12 @@ def to_origin(part: OriginPart) -> Origin:
 def to_infrastructure(path: Path, file: DriveToml) -> Infrastructure:
     """What stands beside the road; DriveError where two have one name or a post has no node."""
     try:
-        nodes = tuple(Node(**part.model_dump()) for part in file.node)
-        return Infrastructure(nodes, tuple(Post(**part.model_dump()) for part in file.post))
+        return Infrastructure(
+            tuple(Node(**part.model_dump()) for part in file.node),
+            tuple(Post(**part.model_dump()) for part in file.post),
+            tuple(Sign(**part.model_dump()) for part in file.sign),
+            tuple(Anchor(**part.model_dump()) for part in file.anchor),
+        )
     except InputError as err:
         raise DriveError(f"{path}: {err}") from err
 
@@ -175,6 +215,10 @@ def format_toml(drive: Drive) -> str:
         rig["imu_noise"] = _floats(dataclasses.asdict(drive.rig.imu_noise))
     if drive.rig.gnss_bias is not None:
         rig["gnss_bias"] = _floats(dataclasses.asdict(drive.rig.gnss_bias))
+    if drive.rig.camera is not None:
+        rig["camera"] = _plain(drive.rig.camera)
+    if drive.rig.p_veh_tag_m.any():
+        rig["p_veh_tag_m"] = drive.rig.p_veh_tag_m.tolist()
     content = {
         "format": 1,
         "name": drive.name,
@@ -182,20 +226,25 @@ def format_toml(drive: Drive) -> str:
         "origin": _floats(dataclasses.asdict(drive.origin)),
         "rig": rig,
     }
-    if drive.infrastructure.nodes:
-        content["node"] = [_node(node) for node in drive.infrastructure.nodes]
-    if drive.infrastructure.posts:
-        content["post"] = [_floats(vars(post)) for post in drive.infrastructure.posts]
+    for kind, all_of_them in vars(drive.infrastructure).items():
+        if all_of_them:
+            content[kind.removesuffix("s")] = [_plain(one) for one in all_of_them]
     if drive.truth is not None:
         content["truth"] = {"p_veh_point_m": drive.truth.p_veh_point_m.tolist()}
     return tomli_w.dumps(content)
 
 
-def _node(node: Node) -> dict[str, object]:
-    numbers = {k: v for k, v in vars(node).items() if k not in ("name", "p_world_m")}
-    return {"name": node.name, "p_world_m": node.p_world_m.tolist(), **_floats(numbers)}
+def _plain(one: object) -> dict[str, object]:
+    """The fields of a dataclass as TOML has them."""
+    return _floats(vars(one))
 
 
 def _floats(values: dict[str, object]) -> dict[str, object]:
     """Plain floats where numpy scalars or ints may have crept in: TOML knows only those."""
-    return {k: v if isinstance(v, str) else float(v) for k, v in values.items()}  # type: ignore[arg-type]
+    return {k: _toml_value(v) for k, v in values.items()}
+
+
+def _toml_value(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value if isinstance(value, str) else float(value)  # type: ignore[arg-type]

@@ -86,6 +86,14 @@ _INFOS = (
         "sways, poses",
     ),
     DatasetInfo(
+        "marr2019/iea", "scenario", 20.0, ("gnss", "velocity", "detections"), "MIT",
+        "two roadside cameras without a model (Marr 2019); options calibration_passes, power",
+    ),
+    DatasetInfo(
+        "marr2019/smart-code", "scenario", 11.1, ("gnss", "velocity", "smart_codes"), "MIT",
+        "a camera reads three signs (Marr 2019); options path, camera_yaw_deg, quantised, ...",
+    ),
+    DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",
         "car on a motorway: phone IMU 104 Hz, u-blox 10 Hz, CAN; the makers' pose as truth",
     ),
@@ -129,6 +137,14 @@ _INFOS = (
         "mcity-roadside", "importer", None, ("gnss", "odometry", "velocity", "detections"),
         "the source's", "roadside node at Mcity (--trial); GPS and odometry simulated from the RTK",
     ),
+    DatasetInfo(
+        "outdoor-uwb", "importer", None, ("ranges",), "Apache-2.0",
+        "one run's folder of the UWB-dataset: ranges to four anchors; truth where it is scored",
+    ),
+    DatasetInfo(
+        "plaza", "importer", None, ("odometry", "ranges"), "as the gtsam wheel",
+        "source 1 or 2: ranges to four anchors and odometry of a mower, from the gtsam wheel",
+    ),
 )  # fmt: skip
 
 _IMPORTERS = {
@@ -140,6 +156,8 @@ _IMPORTERS = {
     "rtklib-pos": "rtklib_pos.import_rtklib_pos",
     "nmea": "nmea.import_nmea",
     "mcity-roadside": "mcity_roadside.import_mcity_roadside",
+    "outdoor-uwb": "outdoor_uwb.import_outdoor_uwb",
+    "plaza": "plaza.import_plaza",
 }
 """Module and function of each format."""
 
@@ -156,6 +174,8 @@ _SCENARIOS = {
     "khamooshi2023/sway-low": "khamooshi2023_sway.make_sway_low",
     "khamooshi2023/sway-drive": "khamooshi2023_sway_drive.make_sway_drive",
     "khamooshi2023/sway-high": "khamooshi2023_sway.make_sway_high",
+    "marr2019/iea": "marr2019_iea.make_marr2019_iea",
+    "marr2019/smart-code": "marr2019_smart_code.make_marr2019_smart_code",
 }
 """Module and function of each scenario."""
 

@@ -14,7 +14,6 @@ from fgloc.measurements import (
     Array,
     GnssFixes,
     ImuSamples,
-    NodeDetections,
     NodePoses,
     ObjectTruth,
     Table,
@@ -25,6 +24,8 @@ from fgloc.trajectory import Trajectory
 
 T = TypeVar("T", bound=Table)
 
+NUMBERED = ("node", "sign", "anchor")
+"""Columns that hold the number of something in the infrastructure."""
 _ROTATION_TOLERANCE = 1e-5  # a matrix written with six decimals is one
 
 
@@ -74,6 +75,33 @@ class GnssBias:
 
 
 @dataclass(frozen=True, eq=False)
+class Camera:
+    """A level pinhole camera on the vehicle.
+
+    Raises DriveError where a shape does not fit or the focal length is not above 0.
+
+    focal_px      focal length in pixels
+    principal_px  (2,) where the optical axis meets the image, right and down in px
+    p_veh_cam_m   (3,) its place in the vehicle frame, m
+    yaw_rad       from the vehicle's x axis to the optical axis, counter-clockwise
+    """
+
+    focal_px: float
+    principal_px: Array
+    p_veh_cam_m: Array
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, shape in {"principal_px": (2,), "p_veh_cam_m": (3,)}.items():
+            array = freeze(getattr(self, name))
+            if array.shape != shape or not np.isfinite(array).all():
+                raise DriveError(f"rig.camera.{name}: expected finite numbers of shape {shape}")
+            object.__setattr__(self, name, array)
+        if not (np.isfinite([self.focal_px, self.yaw_rad]).all() and self.focal_px > 0):
+            raise DriveError("rig.camera: expected a focal_px above 0 and a finite yaw_rad")
+
+
+@dataclass(frozen=True, eq=False)
 class Rig:
     """Where the sensors sit on the vehicle, and how noisy they are.
 
@@ -84,6 +112,8 @@ class Rig:
     T_veh_imu    (4, 4) IMU axes and place in the vehicle frame, m
     imu_noise    or None where the drive has no IMU
     gnss_bias    or None where the fixes' errors are white
+    camera       that reads Smart Codes, or None where there is none
+    p_veh_tag_m  (3,) what measures ranges, in the vehicle frame, m
     """
 
     p_veh_ant_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -91,9 +121,13 @@ class Rig:
     imu_noise: ImuNoise | None = None
     p_veh_box_m: Array = field(default_factory=lambda: np.zeros(3))
     gnss_bias: GnssBias | None = None
+    camera: Camera | None = None
+    p_veh_tag_m: Array = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
-        shapes = {"p_veh_ant_m": (3,), "p_veh_box_m": (3,), "T_veh_imu": (4, 4)}
+        shapes = {
+            "p_veh_ant_m": (3,), "p_veh_box_m": (3,), "p_veh_tag_m": (3,), "T_veh_imu": (4, 4),
+        }  # fmt: skip
         for name, shape in shapes.items():
             array = freeze(getattr(self, name))
             if array.shape != shape or not np.isfinite(array).all():
@@ -134,18 +168,19 @@ class Drive:
     def __post_init__(self) -> None:
         object.__setattr__(self, "tables", MappingProxyType(dict(self.tables)))
         for table in (*self.tables.values(), self.post_truth):
-            if isinstance(table, NodeDetections | NodePoses | PostStates):
-                self._check_nodes(table)
+            for what in NUMBERED:
+                if table is not None and hasattr(table, what):
+                    self._check_numbers(table, what)
 
-    def _check_nodes(self, table: NodeDetections | NodePoses | PostStates) -> None:
-        """Every row is of a node that the infrastructure has."""
-        have = len(self.infrastructure.nodes)
-        unknown = (table.node < 0) | (table.node >= have)
+    def _check_numbers(self, table: Table, what: str) -> None:
+        """Every row is of a node, sign or anchor that the infrastructure has."""
+        numbers, have = getattr(table, what), len(getattr(self.infrastructure, f"{what}s"))
+        unknown = (numbers < 0) | (numbers >= have)
         if unknown.any():
             row = int(np.argmax(unknown))
             raise DriveError(
-                f"drive {self.name!r}: {table.KIND} row {row}: node = {table.node[row]}, but the "
-                f"drive has {have} nodes, counted from 0; add it as [[node]] or remove the row"
+                f"drive {self.name!r}: {table.KIND} row {row}: {what} = {numbers[row]}, but the "
+                f"drive has {have} {what}s, counted from 0; add it as [[{what}]] or remove the row"
             )
 
     @property

@@ -1,6 +1,8 @@
-"""What stands beside the road: nodes that see vehicles, with their survey."""
+"""What stands beside the road, with its survey: nodes that see vehicles, signs that vehicles read,
+anchors that they measure distances to."""
 
 import math
+import re
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
@@ -43,10 +45,7 @@ class Node:
     sensor: Literal["camera", "lidar"] = "lidar"
 
     def __post_init__(self) -> None:
-        place = freeze(self.p_world_m)
-        if place.shape != (3,) or not np.isfinite(place).all():
-            raise DriveError(f"node {self.name!r}: p_world_m: expected three finite numbers in m")
-        object.__setattr__(self, "p_world_m", place)
+        object.__setattr__(self, "p_world_m", _place(f"node {self.name!r}", self.p_world_m))
         for name, least in _LEAST.items():
             value = getattr(self, name)
             if not math.isfinite(value) or value < least:
@@ -115,11 +114,71 @@ class Post:
 
 
 @dataclass(frozen=True, eq=False)
+class Sign:
+    """A sign with a square Smart Code on it, upright.
+
+    Raises DriveError where a number is not finite, the size is not above 0, the code is not
+    hexadecimal or the side is neither left nor right.
+
+    code            what the sign encodes, hexadecimal in lower case
+    p_world_m       (3,) middle of the code, ENU m
+    normal_yaw_rad  from East to the direction that its face looks to, counter-clockwise
+    size_m          side of the code
+    side            of the road that it stands on, as the driver who reads it sees the road
+    """
+
+    name: str
+    code: str
+    p_world_m: Array
+    normal_yaw_rad: float
+    size_m: float
+    side: Literal["left", "right"] = "right"
+
+    def __post_init__(self) -> None:
+        what = f"sign {self.name!r}"
+        object.__setattr__(self, "p_world_m", _place(what, self.p_world_m))
+        if not re.fullmatch("[0-9a-f]+", self.code):
+            raise DriveError(f"{what}: code = {self.code!r}: expected hexadecimal, in lower case")
+        if self.side not in ("left", "right"):
+            raise DriveError(f"{what}: side = {self.side!r}: expected 'left' or 'right'")
+        if not (math.isfinite(self.size_m) and self.size_m > 0):
+            raise DriveError(f"{what}: size_m = {self.size_m}: expected a finite number above 0")
+        if not math.isfinite(self.normal_yaw_rad):
+            raise DriveError(f"{what}: normal_yaw_rad = {self.normal_yaw_rad}: expected finite rad")
+
+    @property
+    def R_world_sign(self) -> Array:
+        """(2, 2) from the sign's level axes, x along its normal, to East and North."""
+        c, s = math.cos(self.normal_yaw_rad), math.sin(self.normal_yaw_rad)
+        return np.array([[c, -s], [s, c]])
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """What a tag on the vehicle measures its distance to, at p_world_m (3,), ENU m."""
+
+    name: str
+    p_world_m: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "p_world_m", _place(f"anchor {self.name!r}", self.p_world_m))
+
+
+def _place(what: str, p_world_m: Array) -> Array:
+    place = freeze(p_world_m)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise DriveError(f"{what}: p_world_m: expected three finite numbers in m")
+    return place
+
+
+@dataclass(frozen=True, eq=False)
 class Infrastructure:
     """All that stands beside the road of a drive."""
 
     nodes: tuple[Node, ...] = field(default=())
     posts: tuple[Post, ...] = field(default=())
+    signs: tuple[Sign, ...] = field(default=())
+    anchors: tuple[Anchor, ...] = field(default=())
 
     def post_of(self, node: int) -> Post | None:
         """The post that carries a node, given by its number; None where it does not sway."""

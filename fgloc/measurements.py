@@ -306,12 +306,54 @@ class NodePoses(Table):
     }  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class SmartCodeSightings(Table):
+    """Smart Codes as the vehicle's camera reads them.
+
+    sign        (N,) number of the sign among the drive's signs, from 0
+    height_px   (N,) of the code in the image, as its reader states it
+    width_px    (N,) likewise
+    corners_px  (N, 4, 2) right and down in px, from the upper left corner clockwise
+    """
+
+    sign: NDArray[np.int64]
+    height_px: Array
+    width_px: Array
+    corners_px: Array
+
+    KIND = "smart_codes"
+    WHOLE = frozenset({"sign"})
+    SHAPES: ClassVar = {"sign": (), "height_px": (), "width_px": (), "corners_px": (4, 2)}
+
+    @property
+    def centre_px(self) -> Array:
+        """(N, 2) mean of the corners."""
+        return self.corners_px.mean(1)
+
+
+@dataclass(frozen=True, eq=False)
+class Ranges(Table):
+    """Distances from the vehicle's tag to surveyed anchors, m (N,), with their sigma in m (N,).
+
+    anchor  (N,) number of the anchor among the drive's anchors, from 0
+    """
+
+    anchor: NDArray[np.int64]
+    range_m: Array
+    sigma_m: Array
+
+    KIND = "ranges"
+    WHOLE = frozenset({"anchor"})
+    SHAPES: ClassVar = {"anchor": (), "range_m": (), "sigma_m": ()}
+
+
 TABLES: dict[str, type[Table]] = {
     cls.KIND: cls
     for cls in (
         GnssFixes, ImuSamples, WheelSpeeds, SteeringAngles, Odometry, EnuVelocities, NodeDetections,
         RelativeSightings,
         NodePoses,
+        SmartCodeSightings, Ranges,
     )
 }  # fmt: skip
 """Every kind of table by its name, which is also the name of its source in a drive."""

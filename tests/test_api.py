@@ -154,14 +154,14 @@ def test_every_baseline_that_is_listed_runs():
     fitting = {
         "khamooshi2023-uio": sway, "sway-kf": sway, "raw:node_poses": sway,
         "khamooshi2023-ckf": node, "khamooshi2023-kcf": several, "covariance-intersection": several,
+        "marr2019-iea": fgloc.load("marr2019/iea", seed=0),
+        "marr2019-smart-code": fgloc.load("marr2019/smart-code", seed=0),
     }  # fmt: skip
     for name in baselines.available():
         if name == "khamooshi2023-uio-printed":  # says that its existence condition fails
             continue
-        result = fgloc.baseline(
-            fitting.get(name.partition(":")[0], fitting.get(name, one_car)), name
-        )
-        assert len(result.states_ns)
+        fits = fitting.get(name) or fitting.get(name.partition(":")[0], one_car)
+        assert len(fgloc.baseline(fits, name).states_ns)
 
 
 def test_compare_pairs_in_time_and_survives_a_failure(drive):

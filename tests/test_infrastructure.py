@@ -9,7 +9,7 @@ from fgloc.datasets.drive_folder import read_drive
 from fgloc.drive import Drive, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.infrastructure import Infrastructure, Node, Post
+from fgloc.infrastructure import Anchor, Infrastructure, Node, Post, Sign
 from fgloc.measurements import NodeDetections
 
 TOML = """format = 1
@@ -153,3 +153,52 @@ def test_the_truth_of_a_post_is_of_a_node_that_is_there(tmp_path):
     (tmp_path / "post_truth.csv").write_text(header + "1,0,0,0,0,0,0,0\n2,1,0,0,0,0,0,0\n")
     with pytest.raises(DriveError, match=r"post_truth.csv:3: node = 1, but drive.toml has 1"):
         read_drive(write(tmp_path, SEEN))
+
+
+SIGN = (
+    '[[sign]]\nname = "stop"\ncode = "c0de"\np_world_m = [1, 2, 3]\n'
+    "normal_yaw_rad = 0\nsize_m = 0.5588\n"
+)
+CODES = "t_ns,sign,height_px,width_px,u0_px,v0_px,u1_px,v1_px,u2_px,v2_px,u3_px,v3_px\n"
+ANCHOR = '[[anchor]]\nname = "a1"\np_world_m = [1, 2, 3]\n'
+RANGES = "t_ns,anchor,range_m,sigma_m\n"
+
+
+@pytest.mark.parametrize(
+    ("part", "says"),
+    [({"code": "0xFF"}, "expected hexadecimal"), ({"size_m": 0.0}, "size_m = 0.0"),
+     ({"side": "middle"}, "'left' or 'right'"), ({"normal_yaw_rad": np.inf}, "normal_yaw_rad"),
+     ({"p_world_m": np.full(3, np.nan)}, "sign 'stop': p_world_m: expected three finite")],
+)  # fmt: skip
+def test_a_sign_of_impossible_values_is_refused(part, says):
+    with pytest.raises(DriveError, match=says):
+        Sign(**{"name": "stop", "code": "c0de", "p_world_m": np.zeros(3),
+                "normal_yaw_rad": 0.0, "size_m": 0.5} | part)  # fmt: skip
+
+
+def test_a_sign_whose_face_looks_south_has_its_left_in_the_east():
+    sign = Sign("stop", "1", np.zeros(3), -np.pi / 2, 0.5)
+    np.testing.assert_allclose(sign.R_world_sign @ [10, 3], [3, -10], atol=1e-12)
+
+
+def test_an_anchor_has_a_place():
+    with pytest.raises(DriveError, match="anchor 'a1': p_world_m"):
+        Anchor("a1", np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "says"),
+    [
+        ("smart_codes", CODES + "1,0,9,9,0,0,9,0,9,9,0,9\n2,1,9,9,0,0,9,0,9,9,0,9\n",
+         r"smart_codes.csv:3: sign = 1, but drive.toml has 1 \[\[sign\]\]"),
+        ("smart_codes", CODES + "1,0,0,9,0,0,9,0,9,9,0,9\n", "height_px = 0.0; a size must be"),
+        ("ranges", RANGES + "1,3,2.0,0.1\n", "ranges.csv:2: anchor = 3, but drive.toml has 1"),
+        ("ranges", RANGES + "1,0,-2.0,0.1\n", "range_m = -2.0; a distance must be above 0"),
+        ("ranges", RANGES + "1,0,2.0,0\n", "sigma_m = 0.0; a standard deviation must be above 0"),
+    ],
+)  # fmt: skip
+def test_a_row_that_cannot_be_names_itself_and_the_remedy(tmp_path, name, rows, says):
+    (tmp_path / "drive.toml").write_text(TOML + SIGN + ANCHOR)
+    (tmp_path / f"{name}.csv").write_text(rows)
+    with pytest.raises(DriveError, match=says):
+        read_drive(tmp_path)

@@ -12,7 +12,9 @@ from fgloc.measurements import (
     NodeDetections,
     NodePoses,
     Odometry,
+    Ranges,
     RelativeSightings,
+    SmartCodeSightings,
     SteeringAngles,
     WheelSpeeds,
     freeze,
@@ -42,6 +44,7 @@ def test_every_kind_of_table_is_known_by_its_name():
         "odometry": Odometry, "velocity": EnuVelocities, "detections": NodeDetections,
         "relative": RelativeSightings,
         "node_poses": NodePoses,
+        "smart_codes": SmartCodeSightings, "ranges": Ranges,
     } == TABLES  # fmt: skip
 
 

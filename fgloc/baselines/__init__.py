@@ -33,6 +33,11 @@ _METHODS: dict[str, str] = {
     "khamooshi2023-uio-printed": "khamooshi2023_uio.run_printed",
     "sway-kf": "sway_kf.run_sway_kf",
     "raw:node_poses": "raw_poses.run_raw_poses",
+    "marr2019-iea": "marr2019_iea.run",
+    "marr2019-iea:10hz": "marr2019_iea.run_10_hz",
+    "marr2019-smart-code": "marr2019_smart_code.run",
+    "marr2019-smart-code:all-signs": "marr2019_smart_code.run_all_signs",
+    "marr2019-smart-code:plain-start": "marr2019_smart_code.run_plain_start",
 }
 """Module and function of each method: from a drive to its result, `summary` without wall time."""
 

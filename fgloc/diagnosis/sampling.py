@@ -122,12 +122,17 @@ def check_gaps(drive: Drive) -> Iterator[Finding]:
 def check_duplicates(drive: Drive) -> Iterator[Finding]:
     """Rows of an instant that another has told of already; what sees many objects is let be."""
     for name, table in drive.tables.items():
-        repeats = np.flatnonzero(np.diff(table.t_ns) == 0) + 1
-        if len(repeats) and not isinstance(table, NodeDetections | RelativeSightings):
+        if isinstance(table, NodeDetections | RelativeSightings):
+            continue  # many are seen at once, and need not be numbered
+        # Of one instant are the ranges to all anchors, the codes on all signs.
+        told = np.stack([table.t_ns, *(getattr(table, what) for what in sorted(table.WHOLE))])
+        _, first = np.unique(told, axis=1, return_index=True)
+        repeats = np.setdiff1d(np.arange(len(table)), first)
+        if len(repeats):
             yield warning(
                 "duplicate",
                 name,
-                f"t_ns of the row before is repeated in {rows_of(table, repeats)}",
+                f"t_ns of an earlier row is repeated in {rows_of(table, repeats)}",
                 "remove them, or stamp with more digits; of such rows only the first is used",
             )
 

@@ -9,16 +9,18 @@ import pytest
 from fgloc.datasets.city import make_city
 from fgloc.datasets.drive_folder import read_drive, write_drive
 from fgloc.datasets.drive_tables import check_covariances
-from fgloc.drive import Drive, GnssBias, Rig
+from fgloc.drive import Camera, Drive, GnssBias, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.infrastructure import Infrastructure, Node, Post
+from fgloc.infrastructure import Anchor, Infrastructure, Node, Post, Sign
 from fgloc.measurements import (
     EnuVelocities,
     GnssFixes,
     NodeDetections,
     NodePoses,
     Odometry,
+    Ranges,
+    SmartCodeSightings,
     SteeringAngles,
     WheelSpeeds,
 )
@@ -66,15 +68,25 @@ def assert_same(a: Drive, b: Drive) -> None:
     assert a.rig.p_veh_ant_m.tobytes() == b.rig.p_veh_ant_m.tobytes()
     assert a.rig.T_veh_imu.tobytes() == b.rig.T_veh_imu.tobytes()
     assert a.rig.p_veh_box_m.tobytes() == b.rig.p_veh_box_m.tobytes()
-    for one, other in zip(a.infrastructure.nodes, b.infrastructure.nodes, strict=True):
-        assert one.p_world_m.tobytes() == other.p_world_m.tobytes()
-        assert {**vars(one), "p_world_m": 0} == {**vars(other), "p_world_m": 0}
+    assert a.rig.p_veh_tag_m.tobytes() == b.rig.p_veh_tag_m.tobytes()
+    assert_same_fields(a.rig.camera, b.rig.camera)
     assert a.infrastructure.posts == b.infrastructure.posts
+    for kind in ("nodes", "signs", "anchors"):
+        pairs = zip(getattr(a.infrastructure, kind), getattr(b.infrastructure, kind), strict=True)
+        for one, other in pairs:
+            assert_same_fields(one, other)
     assert list(a.tables) == list(b.tables)
     assert all(a.tables[name].same_as(b.tables[name]) for name in a.tables)
     assert (a.truth is None and b.truth is None) or a.truth.same_as(b.truth)
     sway = (a.post_truth, b.post_truth)
     assert sway == (None, None) or sway[0].same_as(sway[1])
+
+
+def assert_same_fields(one: object, other: object) -> None:
+    assert type(one) is type(other)
+    if one is not None:
+        for name, value in vars(one).items():
+            np.testing.assert_array_equal(value, getattr(other, name), name)
 
 
 def full_drive() -> Drive:
@@ -100,18 +112,23 @@ def full_drive() -> Drive:
     steering = SteeringAngles(
         drive.imu.t_ns, drive.imu.t_ns + 7, rng.standard_normal(len(drive.imu))
     )
+    camera = Camera(2400.5, np.array([1224, 1023.5]), np.ones(3), -0.52)
     rig = dataclasses.replace(drive.rig, p_veh_box_m=np.array([1.3, -0.1, 0.8]),
-                              gnss_bias=GnssBias(1.3, 60.0))  # fmt: skip
-    drive = dataclasses.replace(drive, rig=rig, truth=truth, infrastructure=two_nodes(),
+                              gnss_bias=GnssBias(1.3, 60.0), p_veh_tag_m=np.array([0, 0.1, 2]),
+                              camera=camera)  # fmt: skip
+    drive = dataclasses.replace(drive, rig=rig, truth=truth, infrastructure=roadside_things(),
                                 post_truth=swayed(rng))  # fmt: skip
     return drive.with_tables(gnss=fixes, steering=steering, **roadside(rng))
 
 
-def two_nodes() -> Infrastructure:
+def roadside_things() -> Infrastructure:
     return Infrastructure(
         (Node("north", np.array([7.13, 62.19, 6.0]), 0.3), Node("s", np.zeros(3), -2, 0.1, 0.01)),
         (Post("s", 10.0, 1.97, 0.05, 20.1, 0.138, 250.0, 0.3),),
-    )
+        (Sign("big", "0c0ffee", np.array([9.1, 2, 3]), -1.57, 0.5588, "left"),
+         Sign("small", "1", np.zeros(3), 0, 0.127)),
+        (Anchor("a1", np.array([0.1, -0.87, 1.97])),),
+    )  # fmt: skip
 
 
 def swayed(rng: np.random.Generator) -> PostStates:
@@ -133,7 +150,15 @@ def roadside(rng: np.random.Generator, n: int = 5) -> dict:
     tilt[1], sigma_tilt[1] = np.nan, np.nan
     poses = NodePoses(t_ns, t_ns + 5, np.arange(n) % 2, rng.standard_normal((n, 2)), tilt,
                       rng.uniform(0.1, 1, (n, 2)), sigma_tilt)  # fmt: skip
-    return {"odometry": odometry, "velocity": velocity, "detections": seen, "node_poses": poses}
+    codes = SmartCodeSightings(
+        t_ns, t_ns + 5, np.arange(n) % 2, rng.uniform(9, 99, n), rng.uniform(9, 99, n),
+        rng.uniform(0, 2000, (n, 4, 2)),
+    )  # fmt: skip
+    ranges = Ranges(t_ns, t_ns, np.zeros(n), rng.uniform(1, 50, n), rng.uniform(0.1, 1, n))
+    return {
+        "odometry": odometry, "velocity": velocity, "detections": seen, "node_poses": poses,
+        "smart_codes": codes, "ranges": ranges,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("parquet", [False, True])
@@ -341,7 +366,7 @@ def test_a_folder_without_tables_is_told(small):
     (folder / "gnss.csv").unlink()
     tables = (
         "gnss.csv, imu.csv, wheel.csv, steering.csv, odometry.csv, velocity.csv, detections.csv, "
-        "relative.csv, node_poses.csv"
+        "relative.csv, node_poses.csv, smart_codes.csv, ranges.csv"
     )
     assert fault(folder) == f"small: has none of the tables {tables}"
 

@@ -117,9 +117,11 @@ def test_every_importer_is_listed_and_can_be_called():
     assert listed == {
         "mems-rtk", "comma2k19", "kitti", "kitti-raw", "euroc", "rtklib-pos", "nmea",
         "mcity-roadside",
+        "outdoor-uwb", "plaza",
     }  # fmt: skip
+    faults = r"no such file|name a TUM|has neither|holds no|names neither|there are 1"
     for name in listed - {"kitti"}:
-        with pytest.raises(InputError, match=r"no such file|name a TUM|has neither|holds no"):
+        with pytest.raises(InputError, match=faults):
             import_recording(name, "/nowhere")
 
 

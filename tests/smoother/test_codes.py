@@ -1,0 +1,107 @@
+"""The graph of Smart Codes: derivatives, and what it finds beside the documented filter."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import fgloc
+from fgloc.baselines.marr2019_smart_code import run as run_filter
+from fgloc.datasets.registry import make
+from fgloc.errors import DriveError, InputError
+from fgloc.measurements import EnuVelocities
+from fgloc.smoother.codes import SETTINGS, build, smooth_codes
+from fgloc.smoother.codes_model import BIASES
+from fgloc.verdicts import SourceVerdicts
+
+
+def drive(seed=0, path="middle", yaw_deg=30.0, **options):
+    return make("marr2019/smart-code", seed, path=path, camera_yaw_deg=yaw_deg, **options)
+
+
+def error_m(one, trajectory, t_ns=None) -> np.ndarray:
+    """Errors (N, 2) of a trajectory at instants, or at its own within the truth."""
+    last = one.truth.t_ns[-1]
+    t_ns = trajectory.t_ns[trajectory.t_ns <= last] if t_ns is None else t_ns
+    true = one.truth.at_point(trajectory.p_veh_point_m).at(t_ns).p_world_m
+    return (trajectory.at(t_ns).p_world_m - true)[:, :2]
+
+
+def test_gradients_are_the_differences_of_the_cost():
+    one = drive()
+    model = build(one, SETTINGS, SourceVerdicts.of("smart_codes", one.tables["smart_codes"]))
+    rng, n = np.random.default_rng(3), 5
+    states = np.array([-5.0, -20.0]) + np.outer(np.arange(n), [0, 0.9]) + rng.normal(0, 0.2, (n, 2))
+    globals_ = model.prior[0] + 0.01
+    blocks = model.linearize(states, globals_, 20)
+
+    def cost_at(change):
+        moved = states + change[: states.size].reshape(states.shape)
+        return model.linearize(moved, globals_ + change[states.size :], 20).cost
+
+    told = np.r_[blocks.gradient.ravel(), blocks.gradient_globals]
+    found = np.array([(cost_at(s) - cost_at(-s)) / 2e-6 for s in np.eye(len(told)) * 1e-6])
+    np.testing.assert_allclose(told, found, rtol=1e-4, atol=1e-5 * np.abs(told).max())
+
+
+def test_without_noise_the_camera_is_found():
+    one = drive(corner_sigma_px=0.0, quantised=False)
+    assert np.abs(error_m(one, smooth_codes(one).trajectory)).max() < 0.15
+
+
+def test_a_speed_that_is_told_wrong_is_found():
+    one = drive()
+    told = one.tables["velocity"]
+    fast = EnuVelocities(told.t_ns, told.received_ns, told.v_world_mps * 1.03, told.sigma_mps)
+    true, found = (smooth_codes(d).summary["codes"]["speed_scale"]
+                   for d in (one, one.with_tables(velocity=fast)))  # fmt: skip
+    assert found / true == pytest.approx(1 / 1.03, abs=0.01)
+
+
+def test_it_errs_less_than_half_as_much_as_the_filter():
+    rows = []
+    for seed in range(2):
+        for path, yaw_deg in (("left", 30.0), ("middle", 30.0), ("right", 0.0), ("near", 0.0)):
+            one = drive(seed, path, yaw_deg)
+            told = [run_filter(one).trajectory] + [
+                smooth_codes(one, lag_s).trajectory for lag_s in (5.0, None)
+            ]
+            first, last = (
+                max(t.t_ns[0] for t in told), min(one.truth.t_ns[-1], *(t.t_ns[-1] for t in told))
+            )  # fmt: skip
+            t_ns = told[0].t_ns[(told[0].t_ns >= first) & (told[0].t_ns <= last)]
+            rows.append([np.linalg.norm(error_m(one, t, t_ns), axis=1).mean() for t in told])
+    of_filter, of_lag, of_batch = np.mean(rows, axis=0)
+    assert of_lag < 0.7 * of_filter
+    assert of_batch < 0.5 * of_filter
+
+
+def test_the_covariance_does_not_claim_too_much():
+    nees = []
+    for seed in range(4):
+        one = drive(seed)
+        trajectory = smooth_codes(one).trajectory
+        error = error_m(one, trajectory)
+        cov = trajectory.cov[: len(error), :2, :2]
+        nees.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov), error).mean() / 2)
+    assert 0.1 < np.mean(nees) < 1.5
+
+
+def test_each_size_of_sign_has_its_bias_and_every_row_a_verdict():
+    one = drive(path="near", yaw_deg=0.0)
+    result = fgloc.smooth(one)
+    assert len(result.summary["codes"]["range_bias_m"]) == 2
+    assert sum(result.summary["counts"]["smart_codes"].values()) == len(one.tables["smart_codes"])
+    assert len(build(one, SETTINGS, result.verdicts["smart_codes"]).prior[0]) == BIASES + 2
+
+
+def test_modes_and_lacks_are_told():
+    one = drive()
+    assert fgloc.smooth(one, "fixed-lag").causal
+    with pytest.raises(InputError, match="not incremental"):
+        fgloc.smooth(one, "incremental")
+    blind = dataclasses.replace(one, rig=dataclasses.replace(one.rig, camera=None))
+    few = one.with_tables(smart_codes=one.tables["smart_codes"].take(slice(4)))
+    for faulty, says in ((blind, r"\[rig.camera\]"), (few, "4 Smart Codes tell a range")):
+        with pytest.raises(DriveError, match=says):
+            smooth_codes(faulty)
