@@ -252,13 +252,18 @@ def _judge(model: Model, robust: Robustness, nis: Array, limits: Array, weight: 
             verdicts.set(p.row[i], Verdict.DOWN_WEIGHTED, f"{loss} weight {weight[i]:.3g}")
         verdicts.set(p.row[own[robust.gated[own]]], Verdict.GATED,
                      "does not fit all other measurements")  # fmt: skip
-    explain(model, ~robust.gated, nis <= limits)
+    explain(model, ~robust.gated, nis <= limits, p.candidates)
 
 
-def explain(model: Model, used: NDArray[np.bool_], fits: NDArray[np.bool_]) -> None:
-    """Say of each candidate that was left out what it was instead."""
+def explain(
+    model: Model, used: NDArray[np.bool_], fits: NDArray[np.bool_], among: NDArray[np.bool_]
+) -> None:
+    """Say of each candidate that was left out what it was instead.
+
+    `among` are the rows that were weighed at all; the others keep their verdicts.
+    """
     p = model.positions
-    own = np.flatnonzero(p.candidates)
+    own = np.flatnonzero(among)
     if not len(own):
         return
     verdicts = model.plan.verdicts[DETECTIONS]

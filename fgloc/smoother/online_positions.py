@@ -60,6 +60,7 @@ class OnlinePositions:
         self._witness = Witness()
         self._fits = np.zeros(len(p), bool)
         self._used = np.zeros(len(p), bool)
+        self._weighed = np.zeros(len(p), bool)
 
     def take_in(
         self, j: int, rows: list[int], values: gtsam.Values, pose: gtsam.Pose3,
@@ -187,7 +188,7 @@ class OnlinePositions:
             return None
         for one in seen:
             self._note(one)
-            self._fits[one.i] = one.fits
+            self._fits[one.i], self._weighed[one.i] = one.fits, True
         fitting = [one for one in seen if one.fits]
         if not fitting:
             return None
@@ -254,4 +255,4 @@ class OnlinePositions:
 
     def finish(self) -> None:
         """Say of each candidate that was not the car what it was."""
-        explain(self.model, self._used, self._fits)
+        explain(self.model, self._used, self._fits, self._weighed)

@@ -40,7 +40,8 @@ def test_the_jacobian_by_pose_equals_its_difference_quotient():
 def test_a_bias_variable_shifts_the_fix_by_itself():
     p, R = poses(1)
     z, bias = p[0] + R[0] @ LEVER + [1, 2, 3], np.array([1.0, 2, 3])
-    factors = gnss.biased_position_factors(0, 1, 2, 3, z, gtsam.noiseModel.Isotropic.Sigma(3, 0.5))
+    model = gtsam.noiseModel.Isotropic.Sigma(3, 0.5)
+    factors = gnss.linked_position_factors(0, 1, 2, z, model, {3: np.eye(3)})
     values = gtsam.Values()
     values.insert(0, gtsam.Pose3(gtsam.Rot3(R[0]), p[0]))
     values.insert(1, p[0] + R[0] @ LEVER)
@@ -57,7 +58,8 @@ def test_the_native_bias_chain_tells_a_bias_from_the_position():
     graph.add(gtsam.PriorFactorPose3(0, pose, gtsam.noiseModel.Isotropic.Sigma(6, 1e-3)))
     graph.add(gtsam.PriorFactorPoint3(2, LEVER, gtsam.noiseModel.Isotropic.Sigma(3, 1e-4)))
     z = LEVER + [2, 0, 0]
-    for f in gnss.biased_position_factors(0, 1, 2, 3, z, gtsam.noiseModel.Isotropic.Sigma(3, 0.1)):
+    model = gtsam.noiseModel.Isotropic.Sigma(3, 0.1)
+    for f in gnss.linked_position_factors(0, 1, 2, z, model, {3: np.eye(3)}):
         graph.add(f)
     graph.add(gtsam.PriorFactorVector(3, np.zeros(3), gtsam.noiseModel.Isotropic.Sigma(3, 5.0)))
     graph.add(gnss.bias_transition_factor(3, 4, 10.0, 5.0, 60.0))

@@ -19,7 +19,7 @@ SLOW = GnssBias(1.5, 60.0)
 
 @pytest.fixture(scope="module")
 def drive():
-    return roadside_drive(3, duration_s=30.0, gnss_bias=SLOW, node_bias_m=0.2)
+    return roadside_drive(3, duration_s=40.0, gnss_bias=SLOW, node_bias_m=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_what_was_not_the_car_is_explained(smoothed):
 def test_late_detections_land_where_they_belong(run, smoothed):
     """Half a second late, a detection moves the past; the present follows."""
     prompt = smoothed["fixed-lag"]
-    late = roadside_drive(3, duration_s=30.0, gnss_bias=SLOW, node_bias_m=0.2, latency_s=0.5)
+    late = roadside_drive(3, duration_s=40.0, gnss_bias=SLOW, node_bias_m=0.2, latency_s=0.5)
     result = run(late, "fixed-lag")
     assert near_the_node(result, late) < 1.5 * near_the_node(prompt, late) + 0.05
     assert result.summary["counts"]["detections"] == prompt.summary["counts"]["detections"]
@@ -91,7 +91,7 @@ def test_the_newest_state_knows_nothing_of_what_has_not_arrived(run, drive, smoo
 
 def test_what_the_survey_is_off_is_found_to_within_its_sigma(run):
     """Good fixes, and a node half a metre from where it is said to be."""
-    drive = roadside_drive(5, duration_s=30.0, ghosts=False)
+    drive = roadside_drive(5, duration_s=40.0, ghosts=False)
     (node,) = drive.infrastructure.nodes
     off = np.array([0.5, -0.3, 0.0])
     said = replace(node, p_world_m=node.p_world_m + off, sigma_position_m=0.5, sigma_yaw_rad=0.02)
@@ -103,7 +103,7 @@ def test_what_the_survey_is_off_is_found_to_within_its_sigma(run):
 
 
 def test_where_the_box_is_centred_is_found_to_within_its_sigma(run):
-    drive = roadside_drive(5, duration_s=30.0, ghosts=False)
+    drive = roadside_drive(5, duration_s=40.0, ghosts=False)
     true = drive.rig.p_veh_box_m
     drive = replace(drive, rig=replace(drive.rig, p_veh_box_m=true - [0.6, 0.0, 0.0]))
     told = run(drive, detections={"offset_sigma_m": 1.0}).summary["box_offset_m"]
@@ -112,7 +112,7 @@ def test_where_the_box_is_centred_is_found_to_within_its_sigma(run):
 
 @pytest.mark.parametrize("late_s", [0.12, -0.2])
 def test_how_late_a_nodes_stamps_are_is_estimated(run, late_s):
-    drive = roadside_drive(5, duration_s=30.0, ghosts=False)
+    drive = roadside_drive(5, duration_s=40.0, ghosts=False)
     seen = drive.tables["detections"]
     shifted = seen.t_ns + round(late_s * 1e9)
     drive = drive.with_tables(detections=replace(seen, t_ns=shifted, received_ns=shifted))
