@@ -14,13 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from perception.rendered import CODES, PRINCIPAL_PX, right_and_wrong, scene
 
 from fgloc.datasets.marr2019_smart_code import FOCAL_PX, LARGE_M, SMALL_M
 from fgloc.perception.smart_code_reader import MarkerReader
 from fgloc.perception.smart_code_renderer import Look
 from fgloc.perception.square_pose import square_poses
-from tests.perception.rendered import CODES, PRINCIPAL_PX, right_and_wrong, scene
 
 BINS_M = {LARGE_M: (4, 7, 10, 15, 20, 25, 30, 35), SMALL_M: (2, 4, 6, 8, 10, 12, 15)}
 

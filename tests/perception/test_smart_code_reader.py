@@ -11,7 +11,8 @@ from fgloc.errors import DriveError, InputError
 from fgloc.perception.smart_code_reader import MarkerReader, code_bits
 from fgloc.perception.smart_code_renderer import DARK, MOST, Look, render, strobe_grey
 from fgloc.perception.square_pose import square_poses
-from tests.perception.rendered import CODES, PRINCIPAL_PX, right_and_wrong, scene
+
+from .rendered import CODES, PRINCIPAL_PX, right_and_wrong, scene
 
 SQUARE = np.array([[60.0, 50], [160, 50], [160, 150], [60, 150]])
 PLAIN = Look(blur_px=0.0, noise=0.0, clutter=0)

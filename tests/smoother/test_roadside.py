@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from baselines.roadside import CAR_ID, GHOST_ID, roadside_drive
 
 from fgloc.config import load_config
 from fgloc.drive import GnssBias
@@ -11,7 +12,6 @@ from fgloc.evaluation import errors
 from fgloc.measurements import NodeDetections
 from fgloc.smoother import smooth
 from fgloc.verdicts import Verdict
-from tests.baselines.roadside import CAR_ID, GHOST_ID, roadside_drive
 
 MODES = ("batch", "fixed-lag")
 SLOW = GnssBias(1.5, 60.0)
