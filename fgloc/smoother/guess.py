@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc import frames
 from fgloc.measurements import Array
@@ -52,7 +53,8 @@ class Guess:
 def guess(model: Model, first: int, last: int, turn_rad: Array) -> Guess:
     """Values of keyframes first..last from the fixes and the gyro among them.
 
-    `turn_rad` (n,) is the yaw that the gyro alone gives, as from `gyro_yaw`.
+    `turn_rad` (n,) is the yaw but for a constant, as from `yaw_by_turns`. Velocities that the drive
+    has are taken instead of those of the fixes.
     """
     keys = np.arange(first, last + 1)
     rows = model.fixed(first, last + 1)
@@ -70,6 +72,9 @@ def guess(model: Model, first: int, last: int, turn_rad: Array) -> Guess:
         yaw += _smooth_angle(t[good], offset, (speed[good] / sigma_v[good]) ** 2, at)
     R = frames.yaw_matrix(yaw)
     p = _interpolate(at, t, z) - R @ model.levers[model.positions.source[rows[0]]]
+    told = model.car.velocities
+    own = told.keys[(first <= told.keys) & (told.keys <= last)]
+    t, v = (model.t_s[own], told.v_world_mps[own]) if len(own) else (t, v)
     return Guess(first, R, p, _interpolate(at, t, v), bool(good.any()))
 
 
@@ -102,11 +107,25 @@ def choose_yaw(guess: Guess, fixes: int, cost: Callable[[Guess], float]) -> Gues
     return best
 
 
-def gyro_yaw(model: Model) -> Array:
-    """Yaw (n,) in rad at every keyframe from the gyro about the vehicle's vertical alone."""
+def yaw_by_turns(model: Model) -> Array:
+    """Yaw (n,) in rad at every keyframe, but for a constant, from the gyro about the vehicle's
+    vertical alone; by the course of its velocities where nobody tells how it turns."""
+    if model.plan.motion.forgets_yaw and (told := _moving(model)) is not None:
+        keys, v = told
+        course = np.unwrap(np.arctan2(v[:, 1], v[:, 0]))
+        return np.interp(model.t_s, model.t_s[keys], course)
     epochs = model.epochs
     total = np.concatenate([[0.0], np.cumsum(epochs.gyro_radps[:, 2] * epochs.dt_s)])
     return total[epochs.first_sample[model.epoch_of + 1]]
+
+
+def _moving(model: Model) -> tuple[NDArray[np.int64], Array] | None:
+    """Keyframes whose velocity tells a course, and these velocities; None where there are none."""
+    velocities = model.car.velocities
+    v = velocities.v_world_mps[velocities.keys]
+    least = np.maximum(MIN_SPEED_MPS, SPEED_SIGMAS * velocities.sigma_mps[velocities.keys])
+    good = np.linalg.norm(v[:, :2], axis=1) > least
+    return (velocities.keys[good], v[good]) if good.any() else None
 
 
 def _slopes(t: Array, z: Array, sigma: Array) -> tuple[Array, Array]:

@@ -18,7 +18,7 @@ from fgloc.measurements import Array
 from fgloc.result import Event
 from fgloc.smoother.dense import fill
 from fgloc.smoother.graph import Factors, GraphModel, Interval, State, read_state
-from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, stretch
+from fgloc.smoother.guess import Guess, choose_yaw, guess, stretch, yaw_by_turns
 from fgloc.smoother.model import OBSERVED_YAW_RAD, YAW_SIGMA_RAD
 from fgloc.smoother.online_car import OnlineCar
 from fgloc.smoother.online_positions import OnlinePositions
@@ -57,7 +57,7 @@ class Online:
         self.bias = np.zeros((len(model), 6))
         self.events: list[Event] = []
         self.yaw_observable_ns: int | None = None
-        self._turn_rad = gyro_yaw(model)
+        self._turn_rad = yaw_by_turns(model)
         self._aligned = False
         self._settled = False
         self._tree = self._new_tree(model.config.solver.factorization)

@@ -138,6 +138,13 @@ def test_with_an_imu_velocities_and_odometry_wait_to_be_asked(city, run):
     assert asked["used"] > 250
 
 
+def test_velocities_that_come_from_odometry_do_not_tell_it_twice(run):
+    drive = drive_of("velocity", "odometry", duration_s=15.0)
+    assert set(run(drive).summary["counts"]["velocity"]) == {"unused"}
+    alone = run(drive, motion={"kind": "constant-velocity"}).summary["counts"]["velocity"]
+    assert alone["used"] > 100
+
+
 def test_an_imu_can_be_left_aside(city, run, rmse_m):
     drive = city(1, 30.0)
     result = run(drive, motion={"kind": "constant-velocity"})
