@@ -101,6 +101,15 @@ def test_a_wild_velocity_is_gated_as_it_comes_and_weighed_down_afterwards(run):
     assert run(drive, "batch").verdicts["velocity"].verdict[140] == Verdict.DOWN_WEIGHTED
 
 
+def test_a_velocity_tells_the_heading_as_soon_as_the_car_moves(run):
+    drive = drive_of("velocity", duration_s=15.0)
+    v = drive.tables["velocity"].v_world_mps
+    moves_ns = drive.tables["velocity"].t_ns[np.argmax(np.linalg.norm(v, axis=1) > 2.0)]
+    aligned = [e.t_ns for e in run(drive, "fixed-lag").events if e.kind == "aligned"]
+    assert len(aligned) == 1
+    assert aligned[0] <= moves_ns + 1e9
+
+
 def test_velocities_that_come_after_the_lag_are_late(run):
     drive = drive_of("velocity", duration_s=15.0)
     table = drive.tables["velocity"]
