@@ -42,6 +42,8 @@ ALIGN_WINDOW_S = 60.0
 """Until then it holds this much of the past."""
 ALIGN_SIGMAS, ALIGN_DISTANCE_M, ALIGN_SPAN_S = 8.0, 2.0, 20.0
 """Two fixes show a course when so many sigmas, at least so far and at most so long apart."""
+GROUP = 0.2
+"""What leaves a fixed lag at once, as a share of the lag: it holds up to so much more."""
 EXTRA_UPDATES = 3
 """More iterations where a fix moves the state far, as at the end of an outage."""
 INFLATION = 10.0
@@ -316,7 +318,7 @@ class Online:
         thresholds = self.model.thresholds
         if self.lag_s is None:
             return WholeTree(kind, thresholds)
-        return FixedLagTree(kind, thresholds, self._held_s())
+        return FixedLagTree(kind, thresholds, self._held_s(), GROUP * self.lag_s)
 
     def _note_yaw(self, j: int) -> None:
         """Watch the yaw become observable, and settle."""

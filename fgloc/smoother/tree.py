@@ -62,10 +62,6 @@ def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2
     return params
 
 
-GROUP = 0.2
-"""What leaves a fixed lag at once, as a share of the lag: it holds up to so much more."""
-
-
 class WholeTree:
     """iSAM2 over everything so far."""
 
@@ -125,12 +121,15 @@ class WholeTree:
 class FixedLagTree(WholeTree):
     """iSAM2 over at least the last `lag_s` seconds; what is older is marginalised.
 
-    States leave in groups. The update in which one leaves solves all the window again, and in an
-    order in which the newest state, whose covariance is asked for, does not come last.
+    States leave in groups of `group_s`, which should divide the lag. The update in which one leaves
+    solves all the window again, and in an order in which the newest state, whose covariance is
+    asked for, does not come last.
     """
 
-    def __init__(self, factorization: str, thresholds: Thresholds | None, lag_s: float) -> None:
-        self.factorization = factorization
+    def __init__(
+        self, factorization: str, thresholds: Thresholds | None, lag_s: float, group_s: float
+    ) -> None:
+        self.factorization, self._group_s = factorization, group_s
         self._solver = self._lag = gtsam.IncrementalFixedLagSmoother(
             lag_s, parameters(factorization, thresholds)
         )
@@ -143,7 +142,7 @@ class FixedLagTree(WholeTree):
         stamps: Stamps,
     ) -> None:
         """As of the whole tree; what is older than the newest stamp by the lag is marginalised."""
-        apart_s = GROUP * self._lag.smootherLag()
+        apart_s = self._group_s
         grouped = {key: math.ceil(float(t_s) / apart_s) * apart_s for key, t_s in stamps.items()}
         self._lag.update(as_graph(factors), values, grouped)
 
