@@ -14,6 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, V, X
 
+from fgloc.errors import SolverError
 from fgloc.factors import imu
 from fgloc.measurements import Array
 from fgloc.result import Event
@@ -145,7 +146,7 @@ class Online:
         values = window_values(self.model, first, states, rows, self._car.axes)
         try:
             self._regrow(first, j, self._window(first, j, prior), values, "qr")
-        except RuntimeError as again:
+        except (RuntimeError, SolverError) as again:
             raise problem from again
 
     def _first_prior(self) -> Factors:
