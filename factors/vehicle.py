@@ -121,6 +121,20 @@ def wheel(u: BodyVelocity, turn_rad: ArrayLike, scale: float, speed_mps: Array) 
     )
 
 
+def late_wheel(
+    u: BodyVelocity, turn_rad: ArrayLike, scale: float, speed_mps: Array, slope_mps2: Array,
+    late_s: float,
+) -> tuple[VehicleResidual, Array]:  # fmt: skip
+    """`wheel` of speeds that are stamped too late, and its Jacobian by that (N, 1, 1).
+
+    What was true at the stamp is told only `late_s` later, by when the wheels' speed has changed
+    by its own slope (N,); what bends it within `late_s` is left out.
+    """
+    told = wheel(u, turn_rad, scale, speed_mps + late_s * slope_mps2)
+    ahead = exp_so3(_rotvec(turn_rad, len(u.value)))[:, 0, 0]
+    return told, (scale * ahead * slope_mps2)[:, None, None]
+
+
 def standstill(v_world_mps: Array, bias: Array, rate_radps: Array) -> StandstillResidual:
     """Velocity, and gyro bias minus the mean rate (N, 3) of a car that stands."""
     error = np.concatenate([v_world_mps, bias[:, 3:] - rate_radps], axis=-1)

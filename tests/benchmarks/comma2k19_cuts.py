@@ -75,7 +75,7 @@ def main() -> None:
     print("|---|---|---|---|---|")
     for name, outage in CUTS.items():
         estimated = fgloc.smooth(cut(drive, outage), settings=["clock.estimate=gnss"])
-        late_s = estimated.summary["clock"]["late_s"]
+        late_s = estimated.summary["clock"]["gnss"]["late_s"]
         for method, (missing, settings) in METHODS.items():
             clock = () if "as stamped" in method else (f"clock.gnss_s={late_s:.4f}",)
             told = [
