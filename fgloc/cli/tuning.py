@@ -39,12 +39,15 @@ def tune(
     drive: str, out: Path, overwrite: bool, outage_s: float, config: Path | None,
     settings: tuple[str, ...], seed: int | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Find the noise of the fixes and the IMU from a drive.
+    """Find the noise of a drive's sources from the drive itself.
 
     Fixes are withheld, one by one and in outages, and predicted from the rest; the noise under
     which that goes best becomes a configuration for fgloc smooth. A quarter of the drive is not
     seen by the search and shows whether the noise holds. Truth is not used. What the drive does not
     determine stays as it was. A slow error of the fixes is sought where gnss.bias_sigma_m is set.
+
+    Wheels and roadside nodes come after: each of their rows is left out and predicted from all
+    others. So do the sigmas of vehicle.non_holonomic where that is set.
     """
     from fgloc import api, outputs
 
@@ -80,6 +83,11 @@ def _print(found: "Tuning", drive: str, out: Path) -> None:
     table("Withheld fixes that the search has not seen: mean NIS / dof, log-likelihood of a fix",
           ("gap in s", "n", "NIS before", "after", "consistent", "log-l. before", "after"),
           gaps)  # fmt: skip
+    if found.aids:
+        aids = [(one.source, str(one.n), number(one.nis_before), number(one.nis_after),
+                 f"{one.low:.2f} to {one.high:.2f}") for one in found.aids]  # fmt: skip
+        table("Rows that the search has not seen, by all others: mean NIS / dof",
+              ("source", "n", "NIS before", "after", "consistent"), aids)  # fmt: skip
     for remark in found.remarks:
         say(f"note: {remark}")
     say(f"Configuration in {out}; use it with fgloc smooth {drive} --config {out}")

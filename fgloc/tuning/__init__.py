@@ -7,6 +7,9 @@ fixes, long ones that of the IMU, so the two can be told apart, which the NIS of
 alone cannot. A quarter of the drive, in stretches, is never seen by the search; the noise before
 and after is judged there. The truth is not used.
 
+What aids beside the fixes (wheels, roadside nodes, the axis that a car follows) comes after, under
+the noise that was found: see `aids`.
+
 A constant or very slow error of the fixes cannot show in this way: nothing else knows the position.
 Where the fixes scatter far less than they claim, suspect a receiver that filters, and ask for slow
 errors: `gnss.bias_sigma_m` in the configuration, which is then sought as well.
@@ -23,13 +26,14 @@ from fgloc.errors import InputError
 from fgloc.evaluation.consistency import anees_band, effective_samples
 from fgloc.factors import noise
 from fgloc.positions import DETECTIONS, gnss_bias
+from fgloc.tuning.aids import Aids
 from fgloc.tuning.bench import Bench, Predictions
-from fgloc.tuning.result import Consistency, TunedSetting, Tuning
+from fgloc.tuning.result import AidConsistency, Consistency, TunedSetting, Tuning
 from fgloc.tuning.rounds import make_rounds
 from fgloc.tuning.scoring import scores
 from fgloc.tuning.search import Search
 
-__all__ = ["Consistency", "TunedSetting", "Tuning", "tune"]
+__all__ = ["AidConsistency", "Consistency", "TunedSetting", "Tuning", "tune"]
 
 OUTAGE_S = 20.0
 
@@ -40,8 +44,8 @@ def tune(
     outage_s: float = OUTAGE_S,
     tell: Callable[[str], None] = lambda text: None,
 ) -> Tuning:
-    """The noise under which withheld fixes of a drive are predicted best; what nodes see is left
-    out of it.
+    """The noise under which withheld fixes of a drive are predicted best, and then that under which
+    what else it measures is as far off as predicted.
 
     outage_s  the longest outage, in s, for which the noise is to hold; less on a short drive
     tell      is given a line at every step
@@ -61,13 +65,15 @@ def tune(
     search = Search(bench, config, rounds.seen, tell)
     search.run()
     found = search.found()
+    aids = Aids(replace(drive, truth=None), config)
+    tuned, settings, aided = aids.tune(search.given(), found, rounds, tell)
     tell("judging the stretches that the search has not seen")
     before, after = (bench.settle(one, rounds.unseen) for one in (search.given(), found))
     every_s = float(np.median(np.diff(bench.fix_t_s)))
     return Tuning(
-        drive.name, found, search.settings(),
+        drive.name, tuned, (*search.settings(), *settings),
         tuple(_consistency(before, after, n, n * every_s) for n in rounds.lengths),
-        len(bench.outliers), int(bench.outliers.sum()), search.evaluations,
+        len(bench.outliers), int(bench.outliers.sum()), search.evaluations, aided,
     )  # fmt: skip
 
 
