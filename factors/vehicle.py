@@ -157,9 +157,12 @@ def read_calibration(value: gtsam.imuBias.ConstantBias) -> Array:
     return np.array([pitch, yaw, 1 - value.accelerometer()[0]])
 
 
-def mounting_covariance(cov: Array) -> Array:
-    """(2, 2) in rad^2 of the pitch and yaw of the mounting, from the covariance (6, 6) of K(0)."""
-    return MOUNTING_S**2 * cov[4:, 4:]
+def calibration_covariance(cov: Array) -> Array:
+    """(3, 3) of the pitch and yaw of the mounting, in rad, and of the scale, from the covariance
+    (6, 6) of K(0)."""
+    by = np.zeros((3, 6))
+    by[[0, 1, 2], [4, 5, 0]] = -MOUNTING_S, -MOUNTING_S, -1.0
+    return by @ cov @ by.T
 
 
 def car_pose(pose: gtsam.Pose3, point_mps: Array, turn_rad: ArrayLike) -> gtsam.Pose3:

@@ -102,24 +102,24 @@ class Car:
         return told | ({"wheel_scale": float(self.found[2])} if (self.wheel_row >= 0).any() else {})
 
     def wheel_fits(
-        self, j: int, R: Array, v: Array, bias: Array, calibration: Array, cov: Array
+        self, j: int, R: Array, v: Array, bias: Array, cov: Array, calibration_cov: Array
     ) -> bool:  # fmt: skip
         """Gate the wheel speed at keyframe j against a state with the covariance `cov` (9, 9) of
-        pose and velocity, and note its verdict; the wheels' scale counts as known beforehand."""
+        pose and velocity, and a calibration (3, 3) that is as well known; note its verdict."""
         speed, sigma = float(self.speed_mps[j]), float(self.speed_sigma_mps[j])
         u = vehicle.body_velocity(R[None], v[None], self.rate_radps[[j]], bias[None], self.arm)
-        turn = self.turn(calibration)
-        told = vehicle.wheel(u, turn[j], calibration[2], np.array([speed]))
+        told = vehicle.wheel(u, self.turn(self.found)[j], self.found[2], np.array([speed]))
         H = np.concatenate([told.by_pose[0], told.by_velocity[0]], axis=1)
-        spread = sigma**2 + (self.config.scale_sigma * speed) ** 2
-        nis = float(noise.nis(told.error[0], H @ cov @ H.T + spread))
+        M = np.concatenate([told.by_mounting[0], told.by_scale[0]], axis=1)
+        S = H @ cov @ H.T + M @ calibration_cov @ M.T + sigma**2
+        nis = float(noise.nis(told.error[0], S))
         return self._gate(self.wheel_source, int(self.wheel_row[j]), nis, 1)
 
     def note_slip(
-        self, j: int, R: Array, v: Array, bias: Array, cov: Array, mounting_cov: Array
+        self, j: int, R: Array, v: Array, bias: Array, cov: Array, calibration_cov: Array
     ) -> None:  # fmt: skip
         """Note the NIS of the non-holonomic constraint at keyframe j against a state with the
-        covariance `cov` (9, 9) of pose and velocity, and a mounting (2, 2) that is as well known.
+        covariance `cov` (9, 9) of pose and velocity, and a calibration (3, 3) as well known.
 
         There is no gate: the constraint is nobody's measurement, and its loss weighs it down.
         """
@@ -128,7 +128,11 @@ class Car:
         u = vehicle.body_velocity(R[None], v[None], self.rate_radps[[j]], bias[None], self.arm)
         told = vehicle.non_holonomic(u, self.turn(self.found)[j])
         H, M = np.concatenate([told.by_pose[0], told.by_velocity[0]], 1), told.by_mounting[0]
-        S = H @ cov @ H.T + M @ mounting_cov @ M.T + np.diag(self.slip_sigmas_mps[j] ** 2)
+        S = (
+            H @ cov @ H.T
+            + M @ calibration_cov[:2, :2] @ M.T
+            + np.diag(self.slip_sigmas_mps[j] ** 2)
+        )
         own, row = self.verdicts[NON_HOLONOMIC], int(self.slip_row[j])
         own.nis[row], own.dof[row] = float(noise.nis(told.error[0], S)), 2
 

@@ -65,13 +65,15 @@ def test_every_constraint_has_a_verdict(city, run, mode):
     assert counts[STANDSTILL]["used"] >= 2
 
 
-def test_the_slip_that_is_seen_is_as_large_as_it_was_predicted(city, run):
+def test_slip_and_wheel_speeds_are_as_far_off_as_they_were_predicted(city, run):
     """Two degrees of freedom, causal, once the yaw is known; a simulated car does not slip at all,
     so it is rather less."""
-    told = run(city(0, 60.0), "fixed-lag", vehicle=RIGID).verdicts[NON_HOLONOMIC]
-    nis = told.nis[told.dof == 2]
+    verdicts = run(city(0, 60.0), "fixed-lag", vehicle=RIGID).verdicts
+    nis = verdicts[NON_HOLONOMIC].nis[verdicts[NON_HOLONOMIC].dof == 2]
     assert len(nis) >= 40
     assert 0.2 < np.mean(nis) < 2.6
+    nis = verdicts["wheel"].nis[verdicts["wheel"].dof == 1]
+    assert np.mean(nis) == pytest.approx(1, abs=3 * np.sqrt(2 / len(nis)))
 
 
 def test_in_a_batch_wheels_are_as_far_off_as_all_others_predict(city, run):
