@@ -74,20 +74,36 @@ def _print(found: "Tuning", drive: str, out: Path) -> None:
     ]  # fmt: skip
     table(f"{found.drive}: noise from {found.fixes:,} fixes",
           ("setting", "before", "after", "sigma", "status"), rows)  # fmt: skip
-    gaps = [
+    _print_gaps(found)
+    _print_aids(found)
+    for remark in found.remarks:
+        say(f"note: {remark}")
+    say(f"Configuration in {out}; use it with fgloc smooth {drive} --config {out}")
+
+
+def _print_gaps(found: "Tuning") -> None:
+    from fgloc.report.tables import number
+
+    rows = [
         (f"{one.outage_s:.3g}", str(one.n), number(one.nis_before), number(one.nis_after),
          f"{one.low:.2f} to {one.high:.2f}", number(one.log_likelihood_before),
          number(one.log_likelihood_after))
         for one in found.consistency
     ]  # fmt: skip
-    table("Withheld fixes that the search has not seen: mean NIS / dof, log-likelihood of a fix",
-          ("gap in s", "n", "NIS before", "after", "consistent", "log-l. before", "after"),
-          gaps)  # fmt: skip
-    if found.aids:
-        aids = [(one.source, str(one.n), number(one.nis_before), number(one.nis_after),
-                 f"{one.low:.2f} to {one.high:.2f}") for one in found.aids]  # fmt: skip
-        table("Rows that the search has not seen, by all others: mean NIS / dof",
-              ("source", "n", "NIS before", "after", "consistent"), aids)  # fmt: skip
-    for remark in found.remarks:
-        say(f"note: {remark}")
-    say(f"Configuration in {out}; use it with fgloc smooth {drive} --config {out}")
+    columns = ("gap in s", "n", "NIS before", "after", "consistent", "log-l. before", "after")
+    if rows:
+        table("Withheld fixes that the search has not seen: mean NIS / dof, log-likelihood of a "
+              "fix", columns, rows)  # fmt: skip
+
+
+def _print_aids(found: "Tuning") -> None:
+    from fgloc.report.tables import number
+
+    rows = [
+        (one.source, str(one.n), number(one.nis_before), number(one.nis_after),
+         f"{one.low:.2f} to {one.high:.2f}")
+        for one in found.aids
+    ]  # fmt: skip
+    columns = ("source", "n", "NIS before", "after", "consistent")
+    if rows:
+        table("Rows that the search has not seen, by all others: mean NIS / dof", columns, rows)

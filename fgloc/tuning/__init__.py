@@ -8,7 +8,7 @@ alone cannot. A quarter of the drive, in stretches, is never seen by the search;
 and after is judged there. The truth is not used.
 
 What aids beside the fixes (wheels, roadside nodes, the axis that a car follows) comes after, under
-the noise that was found: see `aids`.
+the noise that was found: see `aids`. On a drive without an IMU the fixes are among them.
 
 A constant or very slow error of the fixes cannot show in this way: nothing else knows the position.
 Where the fixes scatter far less than they claim, suspect a receiver that filters, and ask for slow
@@ -25,6 +25,7 @@ from fgloc.drive import Drive
 from fgloc.errors import InputError
 from fgloc.evaluation.consistency import anees_band, effective_samples
 from fgloc.factors import noise
+from fgloc.motion import kind_of
 from fgloc.positions import DETECTIONS, gnss_bias
 from fgloc.tuning.aids import Aids
 from fgloc.tuning.bench import Bench, Predictions
@@ -55,6 +56,8 @@ def tune(
     """
     if not 0 < outage_s < np.inf:
         raise InputError(f"outage_s = {outage_s}: expected seconds above 0")
+    if kind_of(drive, config) != "imu":
+        return _without_imu(drive, config, outage_s, tell)
     tables = {name: table for name, table in drive.tables.items() if name != DETECTIONS}
     blind = replace(drive, truth=None, tables=tables)
     if (slow := gnss_bias(drive, config.gnss)) is not None:
@@ -75,6 +78,18 @@ def tune(
         tuple(_consistency(before, after, n, n * every_s) for n in rounds.lengths),
         len(bench.outliers), int(bench.outliers.sum()), search.evaluations, aided,
     )  # fmt: skip
+
+
+def _without_imu(
+    drive: Drive, config: SmoothConfig, outage_s: float, tell: Callable[[str], None]
+) -> Tuning:
+    """Fixes and what else there is, each row by all others; what carries the states stays as it is:
+    gaps would show its noise, but it is no sensor's."""
+    aids = Aids(replace(drive, truth=None), config, fixes=True)
+    t_s = aids.fix_times_s(config)
+    rounds = make_rounds(t_s, outage_s, drive.name)
+    found, settings, aided = aids.tune(config, config, rounds, tell)
+    return Tuning(drive.name, found, settings, (), len(t_s), 0, 0, aided)
 
 
 def _consistency(

@@ -1,5 +1,7 @@
 """The noise of what aids beside the fixes: wheels, the axis that a car follows, roadside nodes.
 
+Where there is no IMU whose noise would have to be told from theirs, of the fixes as well.
+
 Each of their measurements is left out of the smoothed drive in turn and predicted from all others
 (`smoother.left_out`); the sigmas are right where the errors are as large as predicted. A step is
 Fisher scoring on the log of the sigmas, by the likelihood of what was left out, over the stretches
@@ -19,7 +21,7 @@ from fgloc.constraints import NON_HOLONOMIC, wheel_of, wheel_source
 from fgloc.drive import Drive
 from fgloc.evaluation.consistency import anees_band, effective_samples
 from fgloc.measurements import Array
-from fgloc.positions import DETECTIONS
+from fgloc.positions import DETECTIONS, GNSS
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import POSITIONS, run_batch
 from fgloc.smoother.left_out import LeftOut
@@ -30,9 +32,9 @@ from fgloc.tuning.result import AidConsistency, TunedSetting
 from fgloc.tuning.rounds import Rounds
 from fgloc.tuning.search import PRIOR_SIGMA, STEPS, UNDETERMINED, with_settings
 
-WHEEL, LATERAL, VERTICAL, NODES = (
-    "vehicle.wheel_sigma_scale", "vehicle.lateral_sigma_mps", "vehicle.vertical_sigma_mps",
-    "detections.sigma_scale",
+FIXES, WHEEL, LATERAL, VERTICAL, NODES = (
+    "gnss.sigma_scale", "vehicle.wheel_sigma_scale", "vehicle.lateral_sigma_mps",
+    "vehicle.vertical_sigma_mps", "detections.sigma_scale",
 )  # fmt: skip
 MOST_ROUNDS = 10
 DONE, SMALL = 0.02, 0.2
@@ -63,11 +65,11 @@ class Told:
 class Aids:
     """The sources of a drive that aid, and their sigmas as they are found."""
 
-    def __init__(self, drive: Drive, config: SmoothConfig) -> None:
+    def __init__(self, drive: Drive, config: SmoothConfig, *, fixes: bool = False) -> None:
         """The wheels are tried even where a configuration leaves them out."""
         steady = steadied(drive, config)
         self._drive = clocks.on_time(steady.drive if steady else drive, config)
-        self.keys: dict[str, tuple[str, ...]] = {}
+        self.keys: dict[str, tuple[str, ...]] = {GNSS: (FIXES,)} if fixes else {}
         if wheel_of(drive) is not None:
             self.keys[wheel_source(drive)] = (WHEEL,)
         if config.vehicle.non_holonomic:
@@ -75,6 +77,11 @@ class Aids:
         if DETECTIONS in drive.tables and config.detections.use:
             self.keys[DETECTIONS] = (NODES,)
         self.start = {key: _value(config, key) for keys in self.keys.values() for key in keys}
+
+    def fix_times_s(self, config: SmoothConfig) -> Array:
+        """When the usable fixes are (n,), in s from the first."""
+        model = Model(self._drive, plan(self._drive, config), config)
+        return np.asarray(model.t_s[model.key_of[model.guides]])
 
     def tune(
         self, given: SmoothConfig, config: SmoothConfig, rounds: Rounds, tell: Tell
@@ -90,14 +97,13 @@ class Aids:
         sigma: dict[str, float] = {}
         while True:
             now, after, sigma = self._settled(config, free, rounds, tell)
-            known = {key: value for key, value in now.items() if sigma[key] <= UNDETERMINED}
+            known = {key: value for key, value in now.items()
+                     if sigma[key] <= UNDETERMINED or value < self.start[key]}  # fmt: skip
             if known.keys() == free.keys():
                 break
             free = known
         settings = tuple(
-            TunedSetting(key, was, now[key], "found", sigma[key])
-            if key in now
-            else TunedSetting(key, was, was, "kept", None)
+            _setting(key, was, now.get(key, was), sigma.get(key, np.inf))
             for key, was in self.start.items()
         )
         held = (_consistency(source, before[source], after[source], rounds)
@@ -111,10 +117,11 @@ class Aids:
         """Some sigmas as they come to rest from where they are, the others as they were given; what
         the drive says under them, and the standard deviation of the log of each."""
         now = dict(free)
-        for _ in range(MOST_ROUNDS):
+        for count in range(MOST_ROUNDS):
             told = self._told(_with(config, now))
             steps, sigma = self._steps(told, now, rounds)
-            if all(abs(step) <= max(DONE, SMALL * sigma[key]) for key, step in steps.items()):
+            small = (abs(step) <= max(DONE, SMALL * sigma[key]) for key, step in steps.items())
+            if all(small) or count == MOST_ROUNDS - 1:
                 break
             now = {key: value * float(np.exp(steps[key])) for key, value in now.items()}
             tell(", ".join(f"{key} = {value:.3g}" for key, value in now.items()))
@@ -134,15 +141,24 @@ class Aids:
     def _steps(
         self, told: dict[str, Told], now: dict[str, float], rounds: Rounds
     ) -> tuple[dict[str, float], dict[str, float]]:
-        """The change of the log of every sigma that is free, and that log's standard deviation."""
+        """The change of the log of every sigma that is free, and that log's standard deviation. One
+        that has come down to where the drive no longer tells it goes no further."""
         steps, sigmas = dict.fromkeys(now, 0.0), dict.fromkeys(now, np.inf)
         for source, one in told.items():
             keys = self.keys[source]
             gone = np.array([np.log(now.get(key, 1.0) / self.start[key]) for key in keys])
             for key, step, sigma in zip(keys, *_scored(one, gone, rounds), strict=True):
                 if key in now:
-                    steps[key], sigmas[key] = step, sigma
+                    steps[key] = step if step > 0 or sigma <= UNDETERMINED else 0.0
+                    sigmas[key] = sigma
         return steps, sigmas
+
+
+def _setting(key: str, before: float, after: float, sigma: float) -> TunedSetting:
+    """What became of a setting whose log has this standard deviation."""
+    if sigma <= UNDETERMINED:
+        return TunedSetting(key, before, after, "found", sigma)
+    return TunedSetting(key, before, after, "bounded" if after < before else "kept", None)
 
 
 def _with(config: SmoothConfig, values: dict[str, float]) -> SmoothConfig:
@@ -151,9 +167,10 @@ def _with(config: SmoothConfig, values: dict[str, float]) -> SmoothConfig:
 
 def _of_source(model: Model, left_out: Mapping[str, LeftOut], source: str) -> Told | None:
     """What one source says of itself, or None where nothing of it was taken."""
-    if source == DETECTIONS:
-        told = left_out[POSITIONS]
-        told = told.take(model.positions.candidates & told.kept & told.informed, dof=2)
+    if source in (GNSS, DETECTIONS):
+        told, seen = left_out[POSITIONS], model.positions.candidates
+        rows = (seen & told.kept if source == DETECTIONS else ~seen) & told.informed
+        told = told.take(rows, dof=2 if source == DETECTIONS else 3)
         by_log = 2 * told.own[:, None]
     elif source in left_out:
         told = left_out[source]

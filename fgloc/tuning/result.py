@@ -10,7 +10,7 @@ FEW = 0.5
 """Below this share of what they claim, the fixes' scatter says that their errors are slow."""
 MEANING = {
     "found": "found",
-    "bounded": "the nearest to what was given that predicts no worse",
+    "bounded": "what was given is too far off; about where the drive tells no more",
     "kept": "as given: the drive does not determine it",
 }
 
@@ -130,6 +130,12 @@ class Tuning:
                 "errors slow, and slow errors do not show here: start from gnss.bias_sigma_m=1 to "
                 "ask for them, or keep gnss.sigma_scale=1"
             )
+        if self.config.detections.sigma_scale < FEW:
+            said.append(
+                "what nodes see scatters far less than it claims: its errors are slow, and slow "
+                "errors do not show here; state them (bias_sigma_m and bias_tau_s in [[node]]) or "
+                "keep detections.sigma_scale=1"
+            )
         return tuple(said)
 
     def _told(self) -> dict[str, Any]:
@@ -170,7 +176,7 @@ class Tuning:
         lines = [
             f"Noise tuned on drive {self.drive}, {self.fixes} fixes.",
             *(_of_setting(one) for one in self.settings),
-            "Mean NIS / dof of withheld fixes, on stretches that the search has not seen:",
+            "Mean NIS / dof on stretches that the search has not seen:",
             *(_of_gap(one) for one in self.consistency),
             *(_of_aid(one) for one in self.aids),
             *(f"Remark: {remark}." for remark in self.remarks),

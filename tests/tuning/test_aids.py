@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from baselines.roadside import roadside_drive
+from smoother.without_imu import drive_of
 
-from fgloc.config import load_config
+import fgloc
+from fgloc.config import DetectionConfig, load_config
 from fgloc.datasets import make
 from fgloc.tuning import Tuning
 from fgloc.tuning.aids import Aids
@@ -67,6 +69,26 @@ def test_how_little_a_simulated_car_heaves_is_found_where_it_is_asked_for():
     assert {"vehicle.lateral_sigma_mps", "vehicle.wheel_sigma_scale"} < found.keys()
 
 
+def test_without_an_imu_the_fixes_are_found_in_the_same_way():
+    drive = drive_of("odometry", duration_s=60.0)
+    small = replace(drive.gnss, cov_world_m2=drive.gnss.cov_world_m2 / 9.0)
+    tuning = fgloc.tune(drive.with_tables(gnss=small))
+    found = {one.key: one for one in tuning.settings}["gnss.sigma_scale"]
+    assert found.status == "found"
+    assert abs(np.log(found.after / 3)) < 3 * found.relative_sigma < 0.5
+    assert {one.source for one in tuning.aids} == {"gnss", "odometry"}
+    assert tuning.fixes == len(drive.gnss) and tuning.consistency == ()
+
+
+def test_sigmas_far_above_what_shows_are_brought_down_to_where_the_drive_tells_no_more():
+    """Wheels that claim 5 m/s; what carries the states tells a speed only to some tenths of that."""
+    drive = drive_of("wheel", duration_s=40.0)
+    exact = with_wheel(drive, sigma_mps=np.full(len(drive.tables["wheel"]), 5.0))
+    one = tuned(exact)[1]["vehicle.wheel_sigma_scale"]
+    assert (one.status, one.relative_sigma) == ("bounded", None)
+    assert 0.05 / 5.0 < one.after < 0.1
+
+
 def test_a_drive_that_says_too_little_of_its_wheels_keeps_their_sigma():
     drive = make("city", seed=2, duration_s=60.0)
     wheel = drive.tables["wheel"]
@@ -83,6 +105,8 @@ def test_what_was_found_is_written_and_remarked_upon():
     tuning = Tuning("city", config, tuple(settings.values()), (), 600, 0, 1, (told,))
     assert any("3 rows of wheel took no part" in text for text in tuning.remarks)
     assert any("NIS of wheel stays outside its band" in text for text in tuning.remarks)
+    narrow = config.model_copy(update={"detections": DetectionConfig(sigma_scale=0.1)})
+    assert "slow errors do not show" in " ".join(replace(tuning, config=narrow).remarks)
     assert "# wheel, by all others: " in tuning.to_toml()
     assert "[vehicle]\nwheel_sigma_scale = " in tuning.to_toml()
     assert tuning.to_dict()["aids"][0]["consistent"] is False
