@@ -81,7 +81,7 @@ def test_without_an_imu_the_fixes_are_found_in_the_same_way():
 
 
 def test_sigmas_far_above_what_shows_are_brought_down_to_where_the_drive_tells_no_more():
-    """Wheels that claim 5 m/s; what carries the states tells a speed only to some tenths of that."""
+    """Wheels that claim 5 m/s; what carries the states tells a speed to some tenths of that."""
     drive = drive_of("wheel", duration_s=40.0)
     exact = with_wheel(drive, sigma_mps=np.full(len(drive.tables["wheel"]), 5.0))
     one = tuned(exact)[1]["vehicle.wheel_sigma_scale"]
