@@ -125,8 +125,8 @@ class MotionConfig(Section):
     gap_s: float = Field(default=1.0, gt=0)
     """Yaw rates further apart tell nothing of the turn between them."""
     velocities: bool | None = None
-    """Use the drive's `velocity` rows. Default: where there is no IMU, as such rows come from
-    one."""
+    """Use the drive's `velocity` rows. Default: where nothing else tells how the vehicle moves, as
+    such rows come from an IMU or from odometry, and would tell the same twice."""
 
 
 class VehicleConfig(Section):

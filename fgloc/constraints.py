@@ -77,7 +77,7 @@ def chosen_rows(
         why = UNSOUND_ODOMETRY if source == "odometry" else why
         wheels = _chosen(wheel.t_ns, sound, why, others_ns, interval_s, own)
     asked = config.motion.velocities
-    if velocity is not None and (motion.is_made_up if asked is None else asked):
+    if velocity is not None and (motion.forgets_yaw if asked is None else asked):
         sound = np.isfinite(velocity.v_world_mps).all(-1) & _positive(velocity.sigma_mps)
         why = "velocity or sigma is not finite, or sigma is not above 0"
         own, interval_s = verdicts["velocity"], config.motion.interval_s

@@ -2,6 +2,7 @@
 
 import platform
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeVar
@@ -10,6 +11,7 @@ import numpy as np
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
+from fgloc.errors import InputError
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
@@ -40,22 +42,51 @@ def methods() -> dict[str, dict[str, Any]]:
 
 
 def smooth(drive: Drive, config: SmoothConfig) -> Result:
-    """Estimate the drive's trajectory with the graph, as `config.mode` says.
+    """Estimate the drive's trajectory with the graph that suits it, as `config.mode` says.
 
-    Raises DriveError where the drive lacks what the graph needs, and SolverError where it cannot
-    be solved.
+    A drive with ranges and without fixes takes the planar graph of ranges, one with Smart Codes and
+    without an IMU that of codes; both have the modes batch and fixed-lag. Raises InputError for
+    another mode there, DriveError where the drive lacks what the graph needs, and SolverError where
+    it cannot be solved.
     """
     began = time.perf_counter()
-    if is_cooperative(drive):
-        result = replace(run_cooperative(drive, config), config=_provenance(config))
-    elif drive.has_vehicle:
-        result = _vehicle(drive, config)
-    else:
-        result = smooth_posts(drive, config, _method(config))
+    result = _by_drive(drive, config)
     wall_s = time.perf_counter() - began
     duration_s = result.summary["duration_s"]
     result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
     return result
+
+
+def _by_drive(drive: Drive, config: SmoothConfig) -> Result:
+    if (planar := _planar(drive)) is not None:
+        _refuse_incremental(drive, config)
+        return planar(drive, config.lag_s if config.mode == "fixed-lag" else None)
+    if is_cooperative(drive):
+        return replace(run_cooperative(drive, config), config=_provenance(config))
+    if drive.has_vehicle:
+        return _vehicle(drive, config)
+    return smooth_posts(drive, config, _method(config))
+
+
+def _planar(drive: Drive) -> Callable[[Drive, float | None], Result] | None:
+    """The planar graph that a drive takes, if it does."""
+    if "ranges" in drive.tables and "gnss" not in drive.tables:
+        from fgloc.smoother.ranges import smooth_ranges
+
+        return smooth_ranges
+    if "smart_codes" in drive.tables and "imu" not in drive.tables:
+        from fgloc.smoother.codes import smooth_codes
+
+        return smooth_codes
+    return None
+
+
+def _refuse_incremental(drive: Drive, config: SmoothConfig) -> None:
+    if config.mode == "incremental":
+        raise InputError(
+            f"drive {drive.name!r} takes a planar graph, which has the modes batch and fixed-lag, "
+            "not incremental"
+        )
 
 
 def _vehicle(drive: Drive, config: SmoothConfig) -> Result:

@@ -15,7 +15,7 @@ from fgloc.positions import DETECTIONS, GNSS
 from fgloc.result import Event
 from fgloc.smoother.chain import Chain, position_errors
 from fgloc.smoother.dense import fill
-from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, misfit, stretch
+from fgloc.smoother.guess import Guess, choose_yaw, guess, misfit, stretch, yaw_by_turns
 from fgloc.smoother.left_out import LeftOut, leave_out
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import (
@@ -90,7 +90,7 @@ def run_batch(model: Model) -> BatchRun:
     cannot be solved.
     """
     deltas, inner = model.deltas()
-    start = guess(model, 0, len(model) - 1, gyro_yaw(model))
+    start = guess(model, 0, len(model) - 1, yaw_by_turns(model))
     solver = _solver(model, start, deltas)
     states, robust, cost, iterations = _settle(model, solver, States.of(start, model))
     if cost > misfit(len(model.guides) + model.car.worth(0, len(model))):
@@ -98,6 +98,7 @@ def run_batch(model: Model) -> BatchRun:
         if turned is not start:
             states, robust, cost, iterations = _settle(model, solver, States.of(turned, model))
     limits: dict[str, Array] = {}
+    near = bool(model.positions.candidates.any())
     for rounds in range(1, MAX_ROUNDS + 1):
         spread = solver.covariances(states, robust)
         told = {POSITIONS: _positions(model, states, spread.positions, robust),
@@ -106,9 +107,9 @@ def run_batch(model: Model) -> BatchRun:
         gated = _gated(model, told[POSITIONS].nis, limits[POSITIONS])
         unheld = _unheld(told, limits)
         settled = np.array_equal(gated, robust.gated) and unheld == robust.unheld
-        if settled or rounds == MAX_ROUNDS:
+        if rounds == MAX_ROUNDS or (settled and not near):
             break
-        robust = replace(robust, gated=gated, unheld=unheld)
+        robust, near = replace(robust, gated=gated, unheld=unheld), False
         states, cost, count = solver.optimum(states, robust)
         iterations += count
     _judge(model, robust, told[POSITIONS], limits[POSITIONS])
@@ -129,7 +130,8 @@ def run_batch(model: Model) -> BatchRun:
 def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robustness, float, int]:
     """The optimum from a guess, and the loss that it took: first none, to come near.
 
-    From afar every fix is an outlier, and a loss has no curvature to steer by.
+    From afar every fix is an outlier, and a loss has no curvature to steer by. Where candidates
+    are to join, near is enough: what they say of the states is more than what is left.
     """
     n = int(np.searchsorted(model.key_of, len(states.p)))
     nothing = model.positions.candidates[:n]
@@ -143,7 +145,7 @@ def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robus
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
     robust = Robustness(nothing, width)
-    states, cost, more = solver.optimum(states, robust)
+    states, cost, more = solver.optimum(states, robust, rough=bool(nothing.any()))
     return states, robust, cost, iterations + more
 
 

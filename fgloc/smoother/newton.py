@@ -8,8 +8,12 @@ from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
 from fgloc.smoother.states import Robustness, States
 
 Curvature = Literal["newton", "weights"]
-FIRST_DAMPING, MAX_DAMPING = 1e-4, 1e10
-"""In units of `Cost.damping`; a step that climbs takes ten times the last one's."""
+FIRST_DAMPING, MAX_DAMPING = 0.1, 1e10
+"""In units of `Cost.damping`; a step that climbs takes ten times the last one's. The first weighs
+so little that a step under it may be the last."""
+POOR, GOOD = 0.25, 0.75
+"""A step that comes down by less than this share of what it promises bends more than its square
+tells: the next is damped more. One that comes down by more than the other is damped less."""
 NEAR = 0.1
 """Where nearness will do, the last step may promise this share of the cost."""
 SURE, SLOW, SHORT_RAD = 1e-3, 0.01, 0.01
@@ -62,7 +66,7 @@ class Descent:
             factor, step, promise, damping = self._step(states, band, curvature, damping)
             trial = self.cost.moved(states, step)
             enough = tolerance * (SLOW if curvature == "weights" else 1.0)
-            done = promise <= max(enough, share * value) and damping < FIRST_DAMPING
+            done = promise <= max(enough, share * value) and damping <= FIRST_DAMPING
             if done and np.abs(step.blocks[:, :3]).max() < SHORT_RAD:
                 self.converged = True
                 self.factor = factor if curvature == "weights" and damping == 0 else None
@@ -73,7 +77,8 @@ class Descent:
             trial_value, band = self.cost.linearize(trial, self.robust, following)
             climbs = not trial_value <= value
             if not climbs:
-                states, value, curvature, damping = trial, trial_value, following, damping / 10
+                damping = _eased(damping, value - trial_value, promise)
+                states, value, curvature = trial, trial_value, following
             if done or self.iterations >= self.most:
                 self.converged = done
                 return states, value
@@ -101,3 +106,10 @@ class Descent:
                 if damping > MAX_DAMPING or not np.isfinite(band.gradient.blocks).all():
                     raise
                 _, band = self.cost.linearize(states, self.robust, curvature)
+
+
+def _eased(damping: float, fall: float, promise: float) -> float:
+    """The damping after a step down, by how far it came down of what it promised."""
+    if fall < POOR * promise:
+        return max(10 * damping, FIRST_DAMPING)
+    return damping / 10 if fall > GOOD * promise else damping

@@ -3,8 +3,9 @@
 Each keyframe is one update. What is written for an epoch is the estimate at the moment it was the
 newest: after its update for a keyframe, carried there by the IMU for an output epoch.
 
-Until the fixes show a course the yaw is unknown and nothing is gated; then the past is solved once
-more from the right heading. A solver that fails is replaced by one grown anew over its window.
+Until the fixes or velocities show a course the yaw is unknown and nothing is gated; then the past
+is solved once more from the right heading. A solver that fails is replaced by one grown anew over
+its window.
 """
 
 from collections.abc import Sequence
@@ -18,7 +19,7 @@ from fgloc.measurements import Array
 from fgloc.result import Event
 from fgloc.smoother.dense import fill
 from fgloc.smoother.graph import Factors, GraphModel, Interval, State, read_state
-from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, stretch
+from fgloc.smoother.guess import Guess, choose_yaw, guess, stretch, yaw_by_turns
 from fgloc.smoother.model import OBSERVED_YAW_RAD, YAW_SIGMA_RAD
 from fgloc.smoother.online_car import OnlineCar
 from fgloc.smoother.online_positions import OnlinePositions
@@ -57,7 +58,7 @@ class Online:
         self.bias = np.zeros((len(model), 6))
         self.events: list[Event] = []
         self.yaw_observable_ns: int | None = None
-        self._turn_rad = gyro_yaw(model)
+        self._turn_rad = yaw_by_turns(model)
         self._aligned = False
         self._settled = False
         self._tree = self._new_tree(model.config.solver.factorization)
@@ -152,11 +153,11 @@ class Online:
         return self.model.prior_factors(0, self._initial_state(), UNKNOWN_YAW_SIGMA_RAD)
 
     def _try_to_align(self, j: int) -> None:
-        """Once the fixes show a course, start the yaw from it and solve the past again."""
+        """Once a course is told, start the yaw from it and solve the past again."""
         model = self.model
         first = self._window_start(j, None if self.lag_s is None else ALIGN_WINDOW_S)
         rows = self._positions.since(first)
-        if not _shows_course(model, rows):
+        if not (self._car.tells_course(first) or _shows_course(model, rows)):
             return
         start = guess(model, first, j, self._turn_rad)
         if not start.yaw_known:
@@ -169,9 +170,7 @@ class Online:
         values = first_values(model, start, j + 1 - first, rows)
         self._regrow(first, j, groups, values, model.config.solver.factorization)
         self._aligned = True
-        self._event(
-            j, "aligned", "the fixes show a course: yaw started from it, the past re-solved"
-        )
+        self._event(j, "aligned", "a course is told: yaw started from it, the past re-solved")
 
     def _choose_yaw(self, start: Guess, groups: list[Factors], rows: list[int]) -> Guess:
         """The guess turned to the heading that fits; `groups[k]` are of keyframe first + k."""

@@ -105,6 +105,10 @@ class OnlineCar:
         for k in self._speeds & self.axes:
             self.car.verdicts[self.car.wheel_source].set(self.car.wheel_row[k], Verdict.USED)
 
+    def tells_course(self, first: int) -> bool:
+        """Whether a velocity since keyframe `first` is fast enough to tell a course."""
+        return self._velocities.tells_course(first)
+
     def read(self, j: int, tree: WholeTree) -> None:
         """Take the calibration out of the tree, where keyframe j has changed it."""
         if j in self.axes:

@@ -14,7 +14,7 @@ from fgloc.smoother import clocks
 from fgloc.smoother.band import BorderedFactor, NotPositiveError
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.chain import Chain, position_errors
-from fgloc.smoother.guess import guess, gyro_yaw
+from fgloc.smoother.guess import guess, yaw_by_turns
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import Robustness, States
 from fgloc.smoother.terms import POSE
@@ -96,7 +96,7 @@ class Bench:
         self.noise = model.noise
         self.fix_t_s = model.t_s[model.key_of]
         self.outliers = np.zeros(len(self.fix_t_s), bool)
-        self._guess = guess(model, 0, len(model) - 1, gyro_yaw(model))
+        self._guess = guess(model, 0, len(model) - 1, yaw_by_turns(model))
         self._motion = Motion(model)
         self._start: States | None = None
         self._states: dict[int, States] = {}

@@ -17,7 +17,7 @@ from fgloc.measurements import NodeDetections
 from fgloc.smoother.band import Vector
 from fgloc.smoother.chain import Chain
 from fgloc.smoother.graph import GraphModel
-from fgloc.smoother.guess import guess, gyro_yaw
+from fgloc.smoother.guess import guess, yaw_by_turns
 from fgloc.smoother.solve import covariances
 from fgloc.smoother.states import Robustness, States
 from fgloc.smoother.whole import Whole
@@ -51,7 +51,7 @@ def solvers(drive, **settings):
     """The model of a drive, its guess, and its graph as a chain and for GTSAM."""
     config = load_config(**settings)
     model = GraphModel(drive, plan(drive, config), config)
-    start = guess(model, 0, len(model) - 1, gyro_yaw(model))
+    start = guess(model, 0, len(model) - 1, yaw_by_turns(model))
     deltas, _ = model.deltas()
     return model, start, Chain(model, start, deltas), Whole(model, start, deltas)
 
