@@ -7,6 +7,8 @@ from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeVar
 
+import numpy as np
+
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
 from fgloc.errors import InputError
@@ -97,15 +99,15 @@ def _vehicle(drive: Drive, config: SmoothConfig) -> Result:
 
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:
-    clocks.refuse_wheels(config)
     model = _model(Model, drive, config)
+    clocks.refuse_unanchored(config, model.aids, model.plan.motion.kind)
     run = run_batch(model)
     in_force = config
     for _ in range(MAX_SHIFTS):
-        if abs(run.states.late_s) < STILL_LATE_S:
+        if not (np.abs(run.states.late_s) >= STILL_LATE_S).any():
             break
-        # The estimate brings fixes back along a straight line: shift the stamps by it, and see what
-        # is left. A fix may then be true at another instant, so the epochs are planned anew.
+        # The estimate brings what is late back along a straight line: shift the stamps by it, and
+        # see what is left. They are then true at other instants, so the epochs are planned anew.
         in_force = clocks.shifted(in_force, run.states.late_s)
         shifted_s = model.shifted_s + run.states.late_s
         model = _model(Model, drive, in_force)
@@ -116,10 +118,11 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
     summary["yaw_observable_s"] = 0.0 if known else None
     events = [*model.plan.events, *run.events]
     summary |= roadside(model, run.states, run.sigmas)
-    if run.sigmas.late_s is not None:
+    if config.clock.estimate:
         found = clocks.shifted(in_force, run.states.late_s)
         summary["clock"] = clocks.summary(found, run.sigmas.late_s)
-        events.append(Event(int(model.t_ns[0]), "clock", summary["clock"]["text"]))
+        start_ns = int(model.t_ns[0])
+        events += [Event(start_ns, "clock", one["text"]) for one in summary["clock"].values()]
     verdicts = clocks.stamped_as_read(model.plan.verdicts, drive)
     return Result(
         run.log.trajectory(model), verdicts, summary, summary["method"], causal=False,
@@ -137,7 +140,7 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
     from fgloc.smoother.graph import GraphModel
     from fgloc.smoother.online import Online
 
-    clocks.refuse_estimate(config)
+    clocks.refuse_causal(config)
     model = _model(GraphModel, drive, config)
     lag_s = config.lag_s if config.mode == "fixed-lag" else None
     online = Online(model, lag_s)

@@ -1,5 +1,6 @@
 """The whole drive at once: guess, solve, gate what does not fit, and solve again."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -15,10 +16,21 @@ from fgloc.result import Event
 from fgloc.smoother.chain import Chain, position_errors
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import Guess, choose_yaw, guess, misfit, stretch, yaw_by_turns
+from fgloc.smoother.left_out import LeftOut, leave_out
 from fgloc.smoother.model import Model
-from fgloc.smoother.states import Robustness, SharedSigmas, StateLog, States, yaw_sigma_rad
+from fgloc.smoother.states import (
+    Robustness,
+    SharedSigmas,
+    Spread,
+    StateLog,
+    States,
+    yaw_sigma_rad,
+)
+from fgloc.smoother.term import Term
 from fgloc.verdicts import Verdict
 
+POSITIONS = "positions"
+"""The name under which fixes and detections are left out together."""
 MAX_ROUNDS = 8
 """Gating, and which candidates are the car, is gone through until nothing changes, at most this
 often."""
@@ -45,8 +57,11 @@ class Solver(Protocol):
     ) -> tuple[States, float, int]:
         """The states of least cost, that cost and the iterations; `rough` may stop when near."""
 
-    def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
-        """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
+    def covariances(self, states: States, robust: Robustness) -> Spread:
+        """Of the poses, and of what the positions and the vehicle's own sources measure."""
+
+    def held_term(self, source: str, states: States, at: NDArray[np.int64]) -> Term:
+        """What one of the vehicle's own sources says at some keyframes."""
 
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """Of what the drive shares and the graph estimates."""
@@ -64,12 +79,13 @@ class BatchRun:
     events: tuple[Event, ...]
     states: States
     sigmas: SharedSigmas
+    left_out: Mapping[str, LeftOut]
 
 
 def run_batch(model: Model) -> BatchRun:
     """Solve the drive and fill the verdicts of the model's plan.
 
-    A position's NIS is that of leaving it out: the position against all other measurements.
+    A measurement's NIS is that of leaving it out: itself against all others.
     Candidates join once the drive is solved without them. Raises SolverError where the graph
     cannot be solved.
     """
@@ -81,28 +97,34 @@ def run_batch(model: Model) -> BatchRun:
         turned = _turned(model, solver, start)
         if turned is not start:
             states, robust, cost, iterations = _settle(model, solver, States.of(turned, model))
-    limits, near = np.empty(0), bool(model.positions.candidates.any())
+    limits: dict[str, Array] = {}
+    near = bool(model.positions.candidates.any())
     for rounds in range(1, MAX_ROUNDS + 1):
-        cov, P = solver.covariances(states, robust)
-        nis, weight = _leave_one_out(model, states, P, robust)
-        limits = limits if len(limits) else _limits(model, nis)
-        gated = _gated(model, nis, limits)
-        if rounds == MAX_ROUNDS or (np.array_equal(gated, robust.gated) and not near):
+        spread = solver.covariances(states, robust)
+        told = {POSITIONS: _positions(model, states, spread.positions, robust),
+                **_held(model, solver, states, spread, robust)}  # fmt: skip
+        limits = limits or _limits(model, told)
+        gated = _gated(model, told[POSITIONS].nis, limits[POSITIONS])
+        unheld = _unheld(told, limits)
+        settled = np.array_equal(gated, robust.gated) and unheld == robust.unheld
+        if rounds == MAX_ROUNDS or (settled and not near):
             break
-        robust, near = replace(robust, gated=gated), False
+        robust, near = replace(robust, gated=gated, unheld=unheld), False
         states, cost, count = solver.optimum(states, robust)
         iterations += count
-    settled = np.array_equal(gated, robust.gated)
-    _judge(model, robust, nis, limits, weight)
-    model.car.judge(states.R, states.v, states.bias, states.calibration)
-    log = _log(model, states, cov)
+    _judge(model, robust, told[POSITIONS], limits[POSITIONS])
+    model.car.found = states.calibration
+    for source in model.car.rows_of:
+        out = robust.unheld.get(source, frozenset())
+        model.car.judge(source, told[source], float(limits[source]), out)
+    log = _log(model, states, spread.poses)
     fill(log, model, states.bias, deltas, inner)
     begin = model.epoch_of[0]
     sigma = yaw_sigma_rad(log.R[begin], log.cov[begin, :3, :3])
-    factors = solver.factors - int(robust.gated.sum())
+    factors = solver.factors - int(robust.gated.sum()) - sum(map(len, robust.unheld.values()))
     events = _remarks(model, solver, robust, limits, settled=settled)
     sigmas = solver.shared_sigmas(states, robust)
-    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas)
+    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, told)
 
 
 def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robustness, float, int]:
@@ -127,14 +149,20 @@ def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robus
     return states, robust, cost, iterations + more
 
 
-def _limits(model: Model, nis: Array) -> Array:
-    """The gate (rows,) of every position; that of fixes is widened where more than some exceed."""
+def _limits(model: Model, told: Mapping[str, LeftOut]) -> dict[str, Array]:
+    """The gate of every position (rows,), and of each of the vehicle's own sources; those of fixes
+    and of the vehicle are widened where more than some exceed them."""
     gates = np.array([source.gate_nis for source in model.sources])
     limits = gates[model.positions.source]
-    fixes = model.guides
+    fixes, nis = model.guides, told[POSITIONS].nis
     gate = np.sqrt(model.sources[0].gate_nis)
     limits[fixes] *= _widening(gate, np.sqrt(nis[fixes])) ** 2
-    return limits
+    of_all = {POSITIONS: limits}
+    for source in model.car.rows_of:
+        one = told[source]
+        gate = np.sqrt(model.car.limit(source, one.error.shape[1]))
+        of_all[source] = np.array(gate * _widening(gate, np.sqrt(one.nis))) ** 2
+    return of_all
 
 
 def _gated(model: Model, nis: Array, limits: Array) -> NDArray[np.bool_]:
@@ -145,6 +173,16 @@ def _gated(model: Model, nis: Array, limits: Array) -> NDArray[np.bool_]:
     return gated
 
 
+def _unheld(told: Mapping[str, LeftOut], limits: Mapping[str, Array]) -> dict[str, frozenset[int]]:
+    """The keyframes at which each of the vehicle's own sources does not fit all others."""
+    out = {
+        source: frozenset(one.keys[one.nis > limits[source]].tolist())
+        for source, one in told.items()
+        if source != POSITIONS
+    }
+    return {source: keys for source, keys in out.items() if keys}
+
+
 def _widening(sigmas: float, values: Array) -> float:
     """By what a threshold must grow for no more than `MOST_OUTLIERS` of the values to exceed it."""
     exceeded = float(np.quantile(values, 1 - MOST_OUTLIERS))
@@ -152,11 +190,11 @@ def _widening(sigmas: float, values: Array) -> float:
 
 
 def _remarks(
-    model: Model, solver: Solver, robust: Robustness, limits: Array, *, settled: bool
+    model: Model, solver: Solver, robust: Robustness, limits: Mapping[str, Array], *, settled: bool
 ) -> tuple[Event, ...]:
     """What a user should know of the solution and of noise that is not what the drive says."""
     texts, loss_width = [], model.config.gnss.loss_width
-    gate_nis, stated = float(limits[model.guides[0]]), model.sources[0].gate_nis
+    gate_nis, stated = float(limits[POSITIONS][model.guides[0]]), model.sources[0].gate_nis
     if loss_width < robust.loss_width < np.inf:
         texts.append(f"loss from {robust.loss_width:.3g} on instead of {loss_width:g}")
     if gate_nis > stated:
@@ -182,12 +220,12 @@ def _solver(model: Model, prior: Guess, deltas: imu.ImuDeltas) -> Solver:
     """The chain, unless the configuration asks for GTSAM."""
     if model.config.solver.batch == "banded":
         return Chain(model, prior, deltas)
-    if model.config.clock.estimate != "none":
+    if model.config.clock.estimate:
         raise ConfigError("clock.estimate goes with solver.batch = banded, not with gtsam")
     from fgloc.smoother.graph import GraphModel
     from fgloc.smoother.whole import Whole
 
-    return Whole(GraphModel(model.drive, model.plan, model.config), prior)
+    return Whole(GraphModel(model.drive, model.plan, model.config), prior, deltas)
 
 
 def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
@@ -201,28 +239,25 @@ def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
     return choose_yaw(start, len(model.fixed(0, n)) + model.car.worth(0, n), cost)
 
 
-def _leave_one_out(
-    model: Model, states: States, P: Array, robust: Robustness
-) -> tuple[Array, Array]:
-    """NIS (rows,) of every position against all others, and its weight (rows,) under the loss.
-
-    With P the posterior of the position's prediction, R_w its covariance as it was weighted and r
-    the residual, the prediction without it has the error R_w (R_w - P)^-1 r and the covariance
-    R_w (R_w - P)^-1 R_w - R_w. NIS is 0 where the position is all that holds the state.
-    """
+def _positions(model: Model, states: States, P: Array, robust: Robustness) -> LeftOut:
+    """Every position as all others predict it, from the covariances (rows, 3, 3) of predictions."""
     R, error = model.cov_m2, position_errors(model, states, len(P))
     weight = _weights(model, np.sqrt(noise.nis(error, R)), robust.loss_width)
-    R_w = R / weight[:, None, None]
-    kept = ~robust.gated
-    spread, left_out = P.copy(), error.copy()
-    rest = R_w[kept] - P[kept]
-    gain = R_w[kept] @ np.linalg.inv(rest)
-    left_out[kept] = np.einsum("nij,nj->ni", gain, error[kept])
-    spread[kept] = gain @ R_w[kept] - R_w[kept]
-    result = noise.nis(left_out, spread + R)
-    informed = np.ones(len(P), bool)
-    informed[kept] = np.linalg.eigvalsh(rest)[:, 0] > 1e-9 * R_w[kept].trace(axis1=1, axis2=2)
-    return np.where(informed, result, 0.0), weight
+    return leave_out(model.key_of, error, P, R, weight, ~robust.gated)
+
+
+def _held(
+    model: Model, solver: Solver, states: States, spread: Spread, robust: Robustness
+) -> dict[str, LeftOut]:
+    """What each of the vehicle's own sources says as all others predict it, whitened."""
+    told = {}
+    for source, keys in model.car.keys_of.items():
+        term = solver.held_term(source, states, keys)
+        own = np.broadcast_to(np.eye(term.error.shape[1]), spread.held[source].shape)
+        weight = noise.weight(np.linalg.norm(term.error, axis=1), "huber", term.width)
+        kept = np.isin(keys, robust.holds(source, keys))
+        told[source] = leave_out(keys, term.error, spread.held[source], own, weight, kept)
+    return told
 
 
 def _weights(model: Model, norm: Array, fix_width: float) -> Array:
@@ -236,9 +271,9 @@ def _weights(model: Model, norm: Array, fix_width: float) -> Array:
     return weight
 
 
-def _judge(model: Model, robust: Robustness, nis: Array, limits: Array, weight: Array) -> None:
+def _judge(model: Model, robust: Robustness, told: LeftOut, limits: Array) -> None:
     """Write the verdicts on the positions that had a keyframe."""
-    p = model.positions
+    p, nis, weight = model.positions, told.nis, told.weight
     dof = np.array([source.dof for source in model.sources])[p.source]
     for table, among in ((GNSS, ~p.candidates), (DETECTIONS, p.candidates)):
         if not among.any():

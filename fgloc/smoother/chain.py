@@ -3,27 +3,20 @@
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.errors import SolverError
 from fgloc.factors import noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
-from fgloc.smoother import sketch
+from fgloc.smoother import clocks, sketch
 from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
 from fgloc.smoother.guess import misfit
 from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
-from fgloc.smoother.states import Robustness, SharedSigmas, States
-from fgloc.smoother.terms import (
-    BIAS,
-    POSE,
-    VELOCITY,
-    Term,
-    Terms,
-    late_residual,
-    late_source,
-    position_residual,
-)
+from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
+from fgloc.smoother.term import BIAS, POSE, VELOCITY, Term
+from fgloc.smoother.terms import Terms, late_residual, position_residual
 from fgloc.timing import iso_utc
 
 BLOCKS_AT_ONCE = 512
@@ -45,9 +38,9 @@ class Chain(Terms):
         """
         slow = [self._slow(s).sigma_m for s in self.slow_at for _ in range(3)]
         scale = np.array([1.0] * 9 + [*self.model.bias_sigmas, *slow])
-        border = np.ones(self.shared)
+        border = np.ones(self.border.size)
         if self.model.car.acts:
-            border[self.car_at] = self.model.car.calibration_sigmas**-2
+            border[self.border.car] = self.model.car.calibration_sigmas**-2
         return Vector(scale**-2, border)
 
     def first(self, n: int) -> "Chain":
@@ -103,27 +96,27 @@ class Chain(Terms):
         first = np.searchsorted(self.bias_of, self.bias_of)
         calibration = states.calibration
         if self.model.car.acts:
-            calibration = calibration - back.border[self.car_at]
+            calibration = calibration - back.border[self.border.car]
         return States(
             states.R @ exp_so3(step[:, :3]),
             states.p + np.einsum("nij,nj->ni", states.R, step[:, 3:6]),
             states.v + step[:, VELOCITY],
             states.bias + step[first][:, BIAS],
             states.slow + step[:, 15:],
-            states.late_s - float(back.border[self.late].sum()),
+            states.late_s - back.border[self.border.late],
             calibration,
-            states.offset - (back.border[self.offset_at] if self._estimates_offset else 0.0),
+            states.offset - (back.border[self.border.offset] if self._estimates_offset else 0.0),
             self._resurveyed(states.survey, back.border),
         )
 
     @property
     def _estimates_offset(self) -> bool:
-        return self.offset_at.start < self.offset_at.stop
+        return self.border.offset.start < self.border.offset.stop
 
     def _resurveyed(self, survey: Array, back: Array) -> Array:
         """What the surveys are off after a step back."""
         moved = survey.copy()
-        for s, at in self.survey_at.items():
+        for s, at in self.border.survey.items():
             moved[s] -= back[at]
         return moved
 
@@ -136,7 +129,7 @@ class Chain(Terms):
         near, or of reweighted least squares ("weights"), which never climbs far and is what
         covariances are taken from.
         """
-        cost, band = 0.0, Band(self.n, self.width, self.shared)
+        cost, band = 0.0, Band(self.n, self.width, self.border.size)
         for first in range(0, self.n, BLOCKS_AT_ONCE):
             for term in self.at(states, robust, first, min(first + BLOCKS_AT_ONCE, self.n)):
                 J, e = term.jacobian, term.error
@@ -161,36 +154,35 @@ class Chain(Terms):
         gradient[:, BIAS] = 0
         gradient[first[:, None], BIAS] = total
 
-    def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
-        """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
+    def covariances(self, states: States, robust: Robustness) -> Spread:
+        """Of the poses, and of what the positions and the vehicle's own sources measure."""
         factor = self._factor(states, robust)
         kinds = {s: np.flatnonzero(self.source == s) for s in np.unique(self.source).tolist()}
         terms = {s: self._positions(states, s, rows, np.inf) for s, rows in kinds.items()}
-        at = np.unique(np.concatenate([POSE, *(term.at for term in terms.values())]))
-        cov = factor.inverse_blocks(at)
-        across = factor.inverse_border(at) if self.shared else np.zeros((self.n, len(at), 0))
+        held = {name: self.held.term(name, states, at)
+                for name, at in self.held_keys(0, self.n).items()}  # fmt: skip
+        at = np.unique(np.concatenate([POSE, *(t.at for t in (*terms.values(), *held.values()))]))
+        known = Known(factor, at)
         predicted = np.empty((self.rows, 3, 3))
         for s, term in terms.items():
-            own = np.searchsorted(at, term.at)
-            J, keys = term.jacobian, self.key_of[kinds[s]]
-            known = cov[keys][:, own[:, None], own]
-            if J.shape[2] > len(own):  # it also depends on what the drive shares
-                side = across[keys][:, own]
-                shared = np.broadcast_to(factor.cov_border, (len(keys), *factor.cov_border.shape))
-                known = np.block([[known, side], [side.swapaxes(-1, -2), shared]])
             L = np.linalg.inv(self._whiten_position[kinds[s]])
-            predicted[kinds[s]] = L @ (J @ known @ J.swapaxes(-1, -2)) @ L.swapaxes(-1, -2)
-        return cov[:, :6, :6], predicted
+            predicted[kinds[s]] = L @ known.predicted(term) @ L.swapaxes(-1, -2)
+        by_source = {name: known.predicted(term) for name, term in held.items()}
+        return Spread(known.blocks[:, :6, :6], predicted, by_source)
+
+    def held_term(self, source: str, states: States, at: NDArray[np.int64]) -> Term:
+        """What one of the vehicle's own sources says at some keyframes."""
+        return self.held.term(source, states, at)
 
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """Of what the drive shares and this graph estimates."""
-        if not self.shared:
+        if not self.border.size:
             return SharedSigmas()
         sigma = np.sqrt(np.diagonal(self._factor(states, robust).cov_border))
         return SharedSigmas(
-            float(sigma[0]) if self.late.stop else None,
-            sigma[self.offset_at] if self._estimates_offset else None,
-            {s: sigma[at] for s, at in self.survey_at.items()},
+            sigma[self.border.late],
+            sigma[self.border.offset] if self._estimates_offset else None,
+            {s: sigma[at] for s, at in self.border.survey.items()},
         )
 
     def _factor(self, states: States, robust: Robustness) -> BorderedFactor:
@@ -222,13 +214,31 @@ class Chain(Terms):
         )
 
 
+class Known:
+    """Covariances of the unknowns `at` (q,) of every block, and of the border."""
+
+    def __init__(self, factor: BorderedFactor, at: NDArray[np.int64]) -> None:
+        self.at, self.blocks = at, factor.inverse_blocks(at)
+        self._across, self._border = factor.inverse_border(at), factor.cov_border
+
+    def predicted(self, term: Term) -> Array:
+        """Covariance (M, m, m) of what a term within blocks says, whitened."""
+        own, keys, J = np.searchsorted(self.at, term.at), term.blocks, term.jacobian
+        known = self.blocks[keys][:, own[:, None], own]
+        if J.shape[2] > len(own):  # it also depends on what the drive shares
+            side = self._across[keys][:, own]
+            shared = np.broadcast_to(self._border, (len(keys), *self._border.shape))
+            known = np.block([[known, side], [side.swapaxes(-1, -2), shared]])
+        return np.asarray(J @ known @ J.swapaxes(-1, -2))
+
+
 def position_errors(model: Model, states: States, n: int) -> Array:
     """Predicted minus measured positions (n, 3) of the first n rows, ENU m, lateness and all."""
     error, source = np.empty((n, 3)), model.positions.source[:n]
     for s in np.unique(source).tolist():
         rows = np.flatnonzero(source == s)
         told = position_residual(model, states, rows, s)
-        late = late_source(model, s) and states.late_s != 0
+        late = len(clocks.acting(model.config, model.sources[s].table)) and states.late_s.any()
         error[rows] = late_residual(model, states, rows, s, told).error if late else told.error
     return error
 

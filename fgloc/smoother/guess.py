@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fgloc import frames
 from fgloc.measurements import Array
+from fgloc.smoother.lines import Lines
 from fgloc.smoother.model import Model
 
 HALF_WINDOW_S = 1.0
@@ -137,20 +138,9 @@ def yaw_by_turns(model: Model) -> Array:
 
 def _slopes(t: Array, z: Array, sigma: Array) -> tuple[Array, Array]:
     """Velocity (n, 3) and its horizontal sigma (n,) from lines through neighbouring fixes."""
-    n = len(t)
-    half = max(HALF_WINDOW_S, 1.01 * float(np.median(np.diff(t)))) if n > 1 else HALF_WINDOW_S
-    low = np.minimum(np.searchsorted(t, t - half), np.maximum(np.arange(n) - 1, 0))
-    high = np.maximum(np.searchsorted(t, t + half, side="right"), np.minimum(np.arange(n) + 2, n))
-    count = high - low
-
-    def window(column: Array) -> Array:
-        total = np.concatenate([np.zeros((1, *column.shape[1:])), np.cumsum(column, axis=0)])
-        return total[high] - total[low]
-
-    zero = z - z[0]
-    spread = np.maximum(window(t**2) - window(t) ** 2 / count, 1e-9)
-    v = (window(t[:, None] * zero) - (window(t) / count)[:, None] * window(zero)) / spread[:, None]
-    return v, np.sqrt(window(sigma**2) / count / spread)
+    half = max(HALF_WINDOW_S, 1.01 * float(np.median(np.diff(t)))) if len(t) > 1 else HALF_WINDOW_S
+    lines = Lines(t, half)
+    return lines.slope(z), np.sqrt(lines.mean(sigma**2) / lines.spread)
 
 
 def _smooth_angle(t: Array, angle: Array, weight: Array, at: Array) -> Array:

@@ -11,20 +11,20 @@ survey is off.
 
 from collections.abc import Iterator
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.constraints import STANDSTILL
 from fgloc.drive import GnssBias
 from fgloc.errors import SolverError
-from fgloc.factors import detection, gnss, imu, noise, vehicle
+from fgloc.factors import detection, gnss, imu, vehicle
 from fgloc.frames import log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
 from fgloc.measurements import Array
-from fgloc.positions import DETECTIONS, GNSS
-from fgloc.smoother import velocities
-from fgloc.smoother.car import SLIP_WIDTH, STILL_WIDTH, WHEEL_WIDTH
+from fgloc.positions import GNSS
+from fgloc.smoother import clocks
 from fgloc.smoother.guess import Guess
+from fgloc.smoother.held import Held
 from fgloc.smoother.model import (
     POSITION_SIGMA_M,
     SPEED_SIGMA_MPS,
@@ -32,28 +32,10 @@ from fgloc.smoother.model import (
     Model,
 )
 from fgloc.smoother.states import Robustness, States
+from fgloc.smoother.term import BIAS, POSE, STATE, VELOCITY, Border, Term
 
-POSE, VELOCITY, BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15)
-STATE, FULL = np.arange(9), np.arange(15)
 COPY_SHARE = 1e-5
 """Of a bias step's variance, the part that the curvature gives to each copy within an interval."""
-
-
-class Term(NamedTuple):
-    """M factors of one kind: whitened errors (M, m) and Jacobians (M, m, q).
-
-    blocks  (M,) the keyframe that each begins at
-    at      the unknowns it depends on, counted from that keyframe's first; what the Jacobian has
-            beyond them is by the shared unknowns
-    loss    that lies on it, from a whitened error of `width` on
-    """
-
-    blocks: NDArray[np.int64]
-    at: NDArray[np.int64]
-    error: Array
-    jacobian: Array
-    loss: noise.Loss = "none"
-    width: float = np.inf
 
 
 class Terms:
@@ -66,25 +48,13 @@ class Terms:
         self.bias_of = model.bias_of[:n]
         self.slow_at = {s: 15 + 3 * c + np.arange(3) for c, s in enumerate(model.slow)}
         self.width = 15 + 3 * len(model.slow)
-        self.late, self.car_at, self.offset_at, self.survey_at = self._layout(model)
-        self.shared = max(self.survey_at.values(), key=_stop, default=self.offset_at).stop
+        self.border = Border.of(model)
+        self.held = Held(model, self.border)
         self.rows = int(np.searchsorted(model.key_of, n))  # of the positions, they come first
         self.key_of, self.source = model.key_of[: self.rows], model.positions.source[: self.rows]
         self._prior_R = yaw_matrix(yaw_of(prior.R_world_veh[:1]))
         self._whiten_imu = self._whitening(deltas.cov, np.arange(n - 1))
         self._whiten_position = self._whitening(model.cov_m2[: self.rows], self.key_of)
-
-    @staticmethod
-    def _layout(model: Model) -> tuple[slice, slice, slice, dict[int, slice]]:
-        """Where the unknowns that the drive shares stand in the border."""
-        late = slice(0, int(model.config.clock.estimate != "none"))
-        car = slice(late.stop, late.stop + 3 * model.car.acts)
-        free = any(source.point_sigma_m for source in model.sources)
-        offset = slice(car.stop, car.stop + 3 * free)
-        surveyed = [s for s, source in enumerate(model.sources) if source.surveyed]
-        survey = {s: slice(offset.stop + 3 * i, offset.stop + 3 * i + 3)
-                  for i, s in enumerate(surveyed)}  # fmt: skip
-        return late, car, offset, survey
 
     def _whitening(self, cov: Array, keys: NDArray[np.int64]) -> Array:
         """W (m, r, r) with W cov W' = I; SolverError names the keyframe where there is none."""
@@ -103,13 +73,10 @@ class Terms:
         """How many measurements, steps and priors there are, a bias's copies not counted."""
         chains = 1 + len(self.slow_at)
         steps = (self.n - 1) * chains + int(self.bias_of[-1])
-        car = self.model.car
-        held = (car.wheel_row[: self.n] >= 0).sum() + 2 * car.stands[: self.n].sum()
-        if car.config.non_holonomic:
-            held += car.in_force[: self.n].sum()
-        shared = (self.late.stop > 0) + bool(car.acts) + len(self.survey_at)
-        shared += self.offset_at.start < self.offset_at.stop
-        held += (car.velocities.row[: self.n] >= 0).sum()
+        held = sum(len(keys) * (1 + (source == STANDSTILL))
+                   for source, keys in self.held_keys(0, self.n).items())  # fmt: skip
+        late, car, offset, survey = self.border
+        shared = late.stop + len(survey) + sum(at.start < at.stop for at in (car, offset))
         return int(3 + chains + steps + shared + held) + self.rows
 
     def at(self, states: States, robust: Robustness, first: int, stop: int) -> Iterator[Term]:
@@ -124,13 +91,7 @@ class Terms:
         kept = np.arange(within.start, within.stop)[~robust.gated[within]]
         for s in np.unique(self.source[kept]).tolist():
             yield self._positions(states, s, kept[self.source[kept] == s], robust.loss_width)
-        if self.model.car.acts or self.model.car.stands.any():
-            yield from self._constraints(states, first, stop)
-        told = self.model.car.velocities
-        if len(keys := told.keys[slice(*np.searchsorted(told.keys, [first, min(stop, self.n)]))]):
-            eye = np.eye(3) / told.sigma_mps[keys, None, None]
-            error = told.whitened(states.v, keys)
-            yield Term(keys, VELOCITY, error, eye, "huber", velocities.WIDTH)
+        yield from self._held(states, robust, first, stop)
 
     def _priors(self, states: States) -> Iterator[Term]:
         """What is known of keyframe 0 before any measurement."""
@@ -155,26 +116,20 @@ class Terms:
 
     def _shared_priors(self, states: States) -> Iterator[Term]:
         """What is known of the unknowns of the whole drive before any measurement."""
-        late = np.array([self.model.config.clock.sigma_s])
+        car, late = self.model.car, np.full(self.border.late.stop, self.model.config.clock.sigma_s)
         loose = max(source.point_sigma_m for source in self.model.sources)
         for at, value, sigma in (
-            (self.late, np.array([states.late_s + self.model.shifted_s]), late),
-            (self.car_at, states.calibration - vehicle.STRAIGHT, self.model.car.calibration_sigmas),
-            (self.offset_at, states.offset, np.full(3, loose)),
+            (self.border.late, states.late_s + self.model.shifted_s, late),
+            (self.border.car, states.calibration - vehicle.STRAIGHT, car.calibration_sigmas),
+            (self.border.offset, states.offset, np.full(3, loose)),
             *(
                 (at, states.survey[s], self.model.sources[s].survey_sigmas)
-                for s, at in self.survey_at.items()
+                for s, at in self.border.survey.items()
             ),
         ):
             if at.start < at.stop:
-                J = self._border(1, at, np.diag(1 / sigma)[None])
+                J = self.border.by(at, np.diag(1 / sigma)[None])
                 yield Term(np.array([0]), POSE[:0], (value / sigma)[None], J)
-
-    def _border(self, n: int, at: slice, jacobian: Array) -> Array:
-        """Jacobians (n, m, q) by some of the shared unknowns among those by all of them."""
-        full = np.zeros((n, jacobian.shape[1], self.shared))
-        full[:, :, at] = jacobian
-        return full
 
     def _motion(self, states: States, rows: slice) -> Term:
         """The IMU between keyframes j and j + 1, for the j of a slice."""
@@ -221,61 +176,39 @@ class Terms:
         told, R, source = position_residual(self.model, states, rows, s), states.R[keys], (
             self.model.sources[s])  # fmt: skip
         parts, at, error, border = [told.by_pose], POSE, told.error, []
-        if late_source(self.model, s):
+        if len(acting := clocks.acting(self.model.config, source.table)):
             late = late_residual(self.model, states, rows, s, told)
             parts, error = [late.by_pose, late.by_velocity, late.by_gyro_bias], late.error
             at = np.concatenate([POSE, VELOCITY, BIAS[3:]])
-            border = [(self.late, late.by_late)]
+            border = [self.border.by(acting, late.by_late)]
         if s in self.slow_at:
             parts, at = (
                 [*parts, np.broadcast_to(np.eye(3), W.shape)],
                 np.append(at, self.slow_at[s]),
             )
         if source.point_sigma_m:
-            border.append((self.offset_at, R))
-        if s in self.survey_at:
-            border.append((self.survey_at[s], -by_survey(self.model, rows, s)))
+            border.append(self.border.by(self.border.offset, R))
+        if s in self.border.survey:
+            by = -by_survey(self.model, rows, s)
+            border.append(self.border.by(self.border.survey[s], by))
         if border:
-            shared = [self._border(len(rows), where, by) for where, by in border]
-            parts.append(np.sum(shared, axis=0))
+            parts.append(np.sum(border, axis=0))
         J = W @ np.concatenate(parts, -1)
         width = width if source.table == GNSS else source.settings.loss_width
         return Term(keys, at, _whitened(W, error), J, source.settings.loss, width)
 
-    def _constraints(self, states: States, first: int, stop: int) -> Iterator[Term]:
-        """What the vehicle's constraints say at keyframes first..stop - 1."""
-        car, within = self.model.car, slice(first, stop)
-        turn = car.turn(states.calibration)
-        if car.config.non_holonomic and len(at := first + np.flatnonzero(car.in_force[within])):
-            told = vehicle.non_holonomic(self._body_velocity(states, at), turn[at])
-            yield self._vehicle_term(at, told, car.slip_sigmas_mps[at], SLIP_WIDTH)
-        if len(at := first + np.flatnonzero(car.wheel_row[within] >= 0)):
-            speed, sigma = np.array([car.speed(j) for j in at.tolist()]).T
-            u = self._body_velocity(states, at)
-            told = vehicle.wheel(u, turn[at], float(states.calibration[2]), speed)
-            yield self._vehicle_term(at, told, sigma[:, None], WHEEL_WIDTH)
-        if len(at := first + np.flatnonzero(car.stands[within])):
-            rate = car.mean_rate_radps[at]
-            still = vehicle.standstill(states.v[at], states.bias[at], rate).error
-            eye = np.broadcast_to(np.eye(3), (len(at), 3, 3))
-            slow, quiet = car.config.still_speed_mps, car.still_rate_sigma
-            yield Term(at, VELOCITY, still[:, :3] / slow, eye / slow, "huber", STILL_WIDTH)
-            yield Term(at, BIAS[3:], still[:, 3:] / quiet, eye / quiet)
+    def held_keys(self, first: int, stop: int) -> dict[str, NDArray[np.int64]]:
+        """At which of the keyframes first..stop - 1 each of the vehicle's own sources tells."""
+        return {source: at[slice(*np.searchsorted(at, [first, min(stop, self.n)]))]
+                for source, at in self.model.car.keys_of.items()}  # fmt: skip
 
-    def _body_velocity(self, states: States, at: NDArray[np.int64]) -> vehicle.BodyVelocity:
-        car = self.model.car
-        return vehicle.body_velocity(
-            states.R[at], states.v[at], car.rate_radps[at], states.bias[at], car.arm
-        )
-
-    def _vehicle_term(
-        self, at: NDArray[np.int64], told: vehicle.VehicleResidual, sigma: Array, width: float
-    ) -> Term:
-        """A constraint with standard deviations (m, rows) under Huber's loss."""
-        by_calibration = np.concatenate([told.by_mounting, told.by_scale], -1)
-        border = self._border(len(at), self.car_at, by_calibration)
-        J = np.concatenate([told.by_pose, told.by_velocity, told.by_bias, border], -1)
-        return Term(at, FULL, told.error / sigma, J / sigma[..., None], "huber", width)
+    def _held(self, states: States, robust: Robustness, first: int, stop: int) -> Iterator[Term]:
+        """What the vehicle's own sources say at keyframes first..stop - 1."""
+        for source, keys in self.held_keys(first, stop).items():
+            if len(at := robust.holds(source, keys)):
+                yield self.held.term(source, states, at)
+                if source == STANDSTILL:
+                    yield self.held.still_rate(states, at)
 
     @cached_property
     def _bias_sigmas(self) -> Array:
@@ -316,12 +249,6 @@ def by_survey(model: Model, rows: NDArray[np.int64], s: int) -> Array:
     return detection.by_survey(model.positions.z_world_m[rows], model.sources[s].p_world_m)
 
 
-def late_source(model: Model, s: int) -> bool:
-    """Whether it is this source's lateness that is estimated; the IMU's shows in all sources."""
-    late = {"gnss": GNSS, "nodes": DETECTIONS, "imu": model.sources[s].table, "none": ""}
-    return model.sources[s].table == late[model.config.clock.estimate]
-
-
 def late_residual(
     model: Model, states: States, rows: NDArray[np.int64], s: int, told: gnss.GnssResidual
 ) -> gnss.LateResidual:
@@ -329,12 +256,9 @@ def late_residual(
     keys = model.key_of[rows]
     rate = model.epochs.rate_radps[model.epoch_of[keys]] - states.bias[keys, 3:]
     lever = model.levers[s] + (states.offset if model.sources[s].point_sigma_m else 0.0)
-    return gnss.late_residual(told, states.R[keys], states.v[keys], rate, lever, states.late_s)
+    late_s = float(states.late_s[clocks.acting(model.config, model.sources[s].table)].sum())
+    return gnss.late_residual(told, states.R[keys], states.v[keys], rate, lever, late_s)
 
 
 def _whitened(W: Array, error: Array) -> Array:
     return np.einsum("nij,nj->ni", W, error)
-
-
-def _stop(part: slice) -> int:
-    return int(part.stop)

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive, ImuNoise, Noise
-from fgloc.errors import DriveError
 from fgloc.factors.imu import ImuDeltas
 from fgloc.measurements import Array
 from fgloc.smoother import clocks
@@ -89,15 +88,11 @@ class Bench:
     """
 
     def __init__(self, drive: Drive, config: SmoothConfig) -> None:
-        """Raises DriveError where the drive lacks fixes, an IMU or its noise."""
+        """Raises DriveError where the drive lacks fixes, or the noise of its IMU."""
         self.drive = clocks.on_time(drive, config)
         self.plan = plan(self.drive, config)
         model = Model(self.drive, self.plan, plain(config))
-        if not isinstance(model.noise, ImuNoise):
-            raise DriveError(
-                f"drive {drive.name!r}: its states are carried by {self.plan.motion.kind}, and "
-                "tuning finds the noise of an IMU"
-            )
+        assert isinstance(model.noise, ImuNoise)
         self.noise = model.noise
         self.fix_t_s = model.t_s[model.key_of]
         self.outliers = np.zeros(len(self.fix_t_s), bool)

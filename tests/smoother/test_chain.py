@@ -4,11 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import B, K, V, X
 
 from fgloc.config import load_config
 from fgloc.datasets import make, open_drive
 from fgloc.datasets.degrade import degrade
 from fgloc.errors import SolverError
+from fgloc.factors import vehicle
 from fgloc.frames import log_so3
 from fgloc.infrastructure import Infrastructure, Node
 from fgloc.measurements import NodeDetections
@@ -16,6 +18,7 @@ from fgloc.smoother.band import Vector
 from fgloc.smoother.chain import Chain
 from fgloc.smoother.graph import GraphModel
 from fgloc.smoother.guess import guess, yaw_by_turns
+from fgloc.smoother.solve import covariances
 from fgloc.smoother.states import Robustness, States
 from fgloc.smoother.whole import Whole
 from fgloc.sync import plan
@@ -49,7 +52,8 @@ def solvers(drive, **settings):
     config = load_config(**settings)
     model = GraphModel(drive, plan(drive, config), config)
     start = guess(model, 0, len(model) - 1, yaw_by_turns(model))
-    return model, start, Chain(model, start, model.deltas()[0]), Whole(model, start)
+    deltas, _ = model.deltas()
+    return model, start, Chain(model, start, deltas), Whole(model, start, deltas)
 
 
 def robustness(chain, gated=False):
@@ -59,11 +63,12 @@ def robustness(chain, gated=False):
     return Robustness(gated | np.zeros(chain.rows, bool), width)
 
 
-def assert_same_optimum(drive, gated=(), **settings):
+def assert_same_optimum(drive, gated=(), unheld=(), **settings):
     """Cost within 1e-6, positions within 0.1 mm, covariances within 0.1 %."""
     settings = {"solver": {"cost_tolerance": 1e-7}, **settings}
     _, start, chain, whole = solvers(drive, **settings)
     robust = robustness(chain, np.isin(np.arange(chain.rows), gated))
+    robust = replace(robust, unheld=dict(unheld))
     near, _, _ = chain.optimum(
         States.of(start, chain.model), replace(robust, plain=True), rough=True
     )
@@ -74,11 +79,32 @@ def assert_same_optimum(drive, gated=(), **settings):
     assert np.abs(ours.p - theirs.p).max() < 1e-4
     assert np.abs(log_so3(ours.R.swapaxes(-1, -2) @ theirs.R)).max() < 1e-5
     assert np.abs(ours.v - theirs.v).max() < 1e-4
-    for mine, its in zip(
-        chain.covariances(theirs, robust), whole.covariances(theirs, robust), strict=True
-    ):
-        apart = np.linalg.norm(mine - its, axis=(1, 2)) / np.linalg.norm(its, axis=(1, 2))
-        assert apart.max() < 1e-3
+    mine, its = (one.covariances(theirs, robust) for one in (chain, whole))
+    assert relative(mine.poses, its.poses).max() < 1e-3
+    assert relative(mine.positions, its.positions).max() < 1e-3
+
+
+def relative(cov, other):
+    """How far covariances (n, m, m) are apart, relative to the second."""
+    return np.linalg.norm(cov - other, axis=(1, 2)) / np.linalg.norm(other, axis=(1, 2))
+
+
+def test_what_the_car_says_is_predicted_as_well_as_by_gtsam(city):
+    """From GTSAM's joint covariance of pose, velocity, bias and calibration at a few keyframes."""
+    settings = {"vehicle": {"non_holonomic": True, "wheel_speed": True}}
+    model, start, chain, whole = solvers(city(1, 20.0), **settings)
+    robust = robustness(chain)
+    states, _, _ = chain.optimum(States.of(start, model), robust)
+    joint = covariances(whole._graph(robust), whole._values(states, robust), model)
+    by_calibration = np.zeros((3, 6))  # pitch, yaw, scale: how they are kept in a bias variable
+    by_calibration[[0, 1, 2], [4, 5, 0]] = -vehicle.MOUNTING_S, -vehicle.MOUNTING_S, -1.0
+    mine = chain.covariances(states, robust).held
+    for source, keys in model.car.keys_of.items():
+        term = chain.held_term(source, states, keys)
+        for i, j in ((3, keys[3]), (12, keys[12])):
+            cov = joint([X(j), V(j), B(int(model.bias_of[j])), K(0)])
+            J = np.hstack([term.jacobian[i, :, :15], term.jacobian[i, :, 15:] @ by_calibration])
+            assert relative(mine[source][[i]], (J @ cov @ J.T)[None])[0] < 1e-3
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -115,6 +141,13 @@ def test_with_each_constraint_of_the_vehicle(city, altered, asked):
     assert_same_optimum(drive, vehicle={"wheel_speed": False, asked: True})
 
 
+def test_where_some_wheel_speeds_are_gated(city):
+    drive = city(1, 20.0)
+    keys = np.flatnonzero(solvers(drive, vehicle={"wheel_speed": True})[0].car.wheel_row >= 0)
+    out = {"wheel": frozenset(keys[[3, 4, 9]].tolist())}
+    assert_same_optimum(drive, unheld=out, vehicle={"wheel_speed": True})
+
+
 @pytest.mark.parametrize(
     ("node", "settings"),
     [
@@ -136,7 +169,7 @@ def test_the_cost_anywhere_is_that_of_the_graph(city):
     """Not only at the optimum: attitudes, speeds and biases off by what a bad guess is off by."""
     _, start, chain, whole = solvers(city(0, 10.0), gnss={"loss": "none"})
     rng, robust = np.random.default_rng(0), robustness(chain)
-    step = Vector(0.1 * rng.normal(size=(chain.n, 15)), np.zeros(chain.shared))
+    step = Vector(0.1 * rng.normal(size=(chain.n, 15)), np.zeros(chain.border.size))
     states = chain.moved(States.of(start, chain.model), step)
     graph, values = whole._graph(robust), whole._values(states, robust)
     assert chain.linearize(states, robust, "newton")[0] == pytest.approx(graph.error(values))
@@ -148,7 +181,7 @@ def test_a_step_lowers_the_cost_by_what_it_promises(city):
     states, cost, _ = chain.optimum(States.of(start, chain.model), robust)
     rng = np.random.default_rng(1)
     tangent = 1e-5 * rng.normal(size=(chain.n, 15)) * np.repeat([1, 1e-2], [9, 6])
-    away = chain.moved(states, Vector(tangent, np.zeros(chain.shared)))
+    away = chain.moved(states, Vector(tangent, np.zeros(chain.border.size)))
     value, band = chain.linearize(away, robust, "newton")
     promise = band.factor().solve(band.gradient).dot(band.gradient) / 2
     assert value - cost == pytest.approx(promise, rel=1e-2)
