@@ -31,11 +31,11 @@ class Witness:
             car, seen = 0, 0
         return float(-2 * np.log((car + 1) / (seen + 2)))
 
-    def note(self, source: int, object_id: int, *, is_car: bool) -> None:
-        """One frame in which this number was the car, or another candidate was."""
+    def note(self, source: int, object_id: int, car: int, frames: int = 1) -> None:
+        """So many frames in which this number was the car, of those in which some candidate was."""
         times = self._times.setdefault((source, object_id), [0, 0])
-        times[0] += is_car
-        times[1] += 1
+        times[0] += car
+        times[1] += frames
 
 
 def nearest(
@@ -52,11 +52,11 @@ def nearest(
     first = _least(frame, np.where(fits, nis, np.inf))
     witness = Witness()
     decided = np.isin(frame, frame[first])
-    for i in np.flatnonzero(decided).tolist():
-        witness.note(int(source[i]), int(object_id[i]), is_car=bool(first[i]))
-    raised = nis + np.array(
-        [witness.cost(int(s), int(o)) for s, o in zip(source, object_id, strict=True)]
-    )
+    number, which = np.unique(np.stack([source, object_id], -1), axis=0, return_inverse=True)
+    car, seen = (np.bincount(which, rows, len(number)) for rows in (first, decided))
+    for (s, o), times, frames in zip(number.tolist(), car.tolist(), seen.tolist(), strict=True):
+        witness.note(s, o, int(times), int(frames))
+    raised = nis + np.array([witness.cost(s, o) for s, o in number.tolist()])[which]
     return _least(frame, np.where(fits, raised, np.inf))
 
 

@@ -8,12 +8,11 @@ from typing import Any, TypeVar
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
+from fgloc.measurements import NodeDetections, RelativeSightings
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
-from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
-from fgloc.smoother.posts import smooth_posts
 from fgloc.smoother.roadside import roadside
 from fgloc.smoother.steady import steadied
 from fgloc.sync import plan
@@ -45,15 +44,25 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
     """
     began = time.perf_counter()
     if is_cooperative(drive):
+        from fgloc.smoother.cooperative import run_cooperative
+
         result = replace(run_cooperative(drive, config), config=_provenance(config))
     elif drive.has_vehicle:
         result = _vehicle(drive, config)
     else:
+        from fgloc.smoother.posts import smooth_posts
+
         result = smooth_posts(drive, config, _method(config))
     wall_s = time.perf_counter() - began
     duration_s = result.summary["duration_s"]
     result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
     return result
+
+
+def is_cooperative(drive: Drive) -> bool:
+    """Whether a drive is of several road users, seen by nodes, rather than of one car."""
+    others = drive.objects is not None or RelativeSightings.KIND in drive.tables
+    return others and NodeDetections.KIND in drive.tables and "imu" not in drive.tables
 
 
 def _vehicle(drive: Drive, config: SmoothConfig) -> Result:

@@ -22,6 +22,9 @@ from fgloc.verdicts import Verdict
 MAX_ROUNDS = 8
 """Gating, and which candidates are the car, is gone through until nothing changes, at most this
 often."""
+UNINFORMED = 1e-9
+"""Where all other measurements together know less than this share of a position's own information,
+it holds the state alone."""
 MOST_OUTLIERS, MOST_WIDENED = 0.1, 10.0
 """Gate and loss may act on this share of the fixes. Where more do not fit, the noise is probably
 claimed too small, of the fixes or of the IMU, and both are widened, up to so many sigmas for one: a
@@ -44,6 +47,10 @@ class Solver(Protocol):
         self, states: States, robust: Robustness, *, rough: bool = False
     ) -> tuple[States, float, int]:
         """The states of least cost, that cost and the iterations; `rough` may stop when near."""
+
+    def rough_predictions(self, states: States) -> Array | None:
+        """Covariances (rows, 3, 3) in m^2 of what the positions measure as predicted at the states
+        of a rough optimum; None where they take as long as the whole."""
 
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
@@ -70,14 +77,14 @@ def run_batch(model: Model) -> BatchRun:
     """Solve the drive and fill the verdicts of the model's plan.
 
     A position's NIS is that of leaving it out: the position against all other measurements.
-    Candidates join once the drive is solved without them. Raises SolverError where the graph
-    cannot be solved.
+    Candidates join once the drive is solved without them, the plain ones roughly. Raises
+    SolverError where the graph cannot be solved.
     """
     deltas, inner = model.deltas()
     start = guess(model, 0, len(model) - 1, gyro_yaw(model))
     solver = _solver(model, start, deltas)
     states, robust, cost, iterations = _settle(model, solver, States.of(start, model))
-    if cost > misfit(len(model.guides) + model.car.worth(0, len(model))):
+    if cost > misfit(int((~robust.gated).sum()) + model.car.worth(0, len(model))):
         turned = _turned(model, solver, start)
         if turned is not start:
             states, robust, cost, iterations = _settle(model, solver, States.of(turned, model))
@@ -105,25 +112,44 @@ def run_batch(model: Model) -> BatchRun:
     return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas)
 
 
-def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robustness, float, int]:
+def _settle(
+    model: Model, solver: Solver, states: States, *, join: bool = True
+) -> tuple[States, Robustness, float, int]:
     """The optimum from a guess, and the loss that it took: first none, to come near.
 
-    From afar every fix is an outlier, and a loss has no curvature to steer by.
+    From afar every fix is an outlier, and a loss has no curvature to steer by. Candidates that
+    `_alone` finds join if they are to.
     """
     n = int(np.searchsorted(model.key_of, len(states.p)))
-    nothing = model.positions.candidates[:n]
+    left_out = model.positions.candidates[:n]
     states, cost, iterations = solver.optimum(
-        states, Robustness(nothing, np.inf, plain=True), rough=True
+        states, Robustness(left_out, np.inf, plain=True), rough=True
     )
-    width, fixes = np.inf, ~nothing
+    width, fixes = np.inf, ~left_out
     if model.config.gnss.loss != "none" and fixes.any():
         error = position_errors(model, states, n)[fixes]
         norm = np.sqrt(noise.nis(error, model.cov_m2[:n][fixes]))
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
-    robust = Robustness(nothing, width)
+    if join and left_out.any() and (P := solver.rough_predictions(states)) is not None:
+        left_out = left_out & ~_alone(model, states, P)
+        states, _, more = solver.optimum(
+            states, Robustness(left_out, np.inf, plain=True), rough=True
+        )
+        iterations += more
+    robust = Robustness(left_out, width)
     states, cost, more = solver.optimum(states, robust)
     return states, robust, cost, iterations + more
+
+
+def _alone(model: Model, states: States, P: Array) -> NDArray[np.bool_]:
+    """Which of the positions (rows,) are candidates that pass the gate while no other of the frame
+    does; P is the covariance of what they measure as predicted without them."""
+    p, n = model.positions, len(P)
+    nis = noise.nis(position_errors(model, states, n), P + model.cov_m2[:n])
+    gates = np.array([source.gate_nis for source in model.sources])
+    fits = p.candidates[:n] & (nis <= gates[p.source[:n]])
+    return np.asarray(fits & (np.bincount(p.frame[:n], fits)[p.frame[:n]] == 1))
 
 
 def _limits(model: Model, nis: Array) -> Array:
@@ -195,7 +221,7 @@ def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
     begin = solver.first(n)
 
     def cost(turned: Guess) -> float:
-        return _settle(model, begin, States.of(turned, model).first(n))[2]
+        return _settle(model, begin, States.of(turned, model).first(n), join=False)[2]
 
     return choose_yaw(start, len(model.fixed(0, n)) + model.car.worth(0, n), cost)
 
@@ -220,7 +246,8 @@ def _leave_one_out(
     spread[kept] = gain @ R_w[kept] - R_w[kept]
     result = noise.nis(left_out, spread + R)
     informed = np.ones(len(P), bool)
-    informed[kept] = np.linalg.eigvalsh(rest)[:, 0] > 1e-9 * R_w[kept].trace(axis1=1, axis2=2)
+    least = UNINFORMED * R_w[kept].trace(axis1=1, axis2=2)
+    informed[kept] = noise.positive_definite(rest - least[:, None, None] * np.eye(3))
     return np.where(informed, result, 0.0), weight
 
 

@@ -3,9 +3,10 @@
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.errors import SolverError
-from fgloc.factors import noise
+from fgloc.factors import imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
 from fgloc.smoother import sketch
@@ -35,6 +36,7 @@ class Chain(Terms):
 
     converged = True
     _last: tuple[States, Robustness, BorderedFactor] | None = None
+    _sketched: tuple["Chain", States] | None = None
 
     @cached_property
     def damping(self) -> Vector:
@@ -63,7 +65,7 @@ class Chain(Terms):
         Raises SolverError that names the state and its time.
         """
         self._last = None
-        if rough and (sketched := self._sketch(states)) is not None:
+        if rough and (sketched := self._sketch(states, robust)) is not None:
             return sketched
         solver = self.model.config.solver
         descent = Descent(self, robust, solver.max_iterations)
@@ -80,13 +82,13 @@ class Chain(Terms):
             self._last = result, robust, descent.factor
         return result, cost, descent.iterations
 
-    def _sketch(self, states: States) -> tuple[States, float, int] | None:
+    def _sketch(self, states: States, robust: Robustness) -> tuple[States, float, int] | None:
         """States, cost and iterations of a sketch, or None where there is none that fits."""
-        keys = sketch.few_keyframes(self.model, self.n)
-        if keys is None:
+        if self._few is None:
             return None
-        model = sketch.few_model(self.model, keys)
-        few = Chain(model, self._prior, sketch.few_deltas(self.deltas, keys))
+        keys, deltas = self._few
+        model = sketch.few_model(self.model, keys, robust.gated)
+        few = Chain(model, self._prior, deltas)
         nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
         try:
             found, cost, iterations = few.optimum(states.take(keys), nothing, rough=True)
@@ -94,8 +96,31 @@ class Chain(Terms):
             return None
         if not cost <= misfit(few.rows):
             return None
-        g = model.gravity_mps2
+        self._sketched = few, found
+        g = self.model.gravity_mps2
         return sketch.all_states(found, keys, self.deltas, self.bias_of, g), cost, iterations
+
+    @cached_property
+    def _few(self) -> tuple[NDArray[np.int64], imu.ImuDeltas] | None:
+        """The keyframes of a sketch and the IMU between them, where a sketch is worth it."""
+        keys = sketch.few_keyframes(self.model, self.n)
+        return None if keys is None else (keys, sketch.few_deltas(self.deltas, keys))
+
+    def rough_predictions(self, states: States) -> Array | None:
+        """Covariances (rows, 3, 3) in m^2 of what the positions measure as predicted, about: from
+        the last sketch. None where there is none, or where more than the pose has a part in it."""
+        if self._few is None or self._sketched is None or self.shared or self.slow_at:
+            return None
+        (keys, _), (few, found) = self._few, self._sketched
+        nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
+        cov, _ = few.covariances(found, nothing)
+        at = np.searchsorted(keys, self.key_of, side="right") - 1
+        predicted = np.empty((self.rows, 3, 3))
+        for s in np.unique(self.source).tolist():
+            rows = np.flatnonzero(self.source == s)
+            J = position_residual(self.model, states, rows, s).by_pose
+            predicted[rows] = J @ cov[at[rows]] @ J.swapaxes(-1, -2)
+        return predicted
 
     def moved(self, states: States, back: Vector) -> States:
         """The states after a step back along a vector of their tangents; copies stay alike."""

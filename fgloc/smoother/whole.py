@@ -49,6 +49,9 @@ class Whole:
         self.converged = iterations < self.model.config.solver.max_iterations
         return self._states(values, robust, states), float(graph.error(values)), iterations
 
+    def rough_predictions(self, states: States) -> None:
+        """None: GTSAM solves no sketch."""
+
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
         joint = covariances(self._graph(robust), self._values(states, robust), self.model)

@@ -8,8 +8,8 @@ of the car, with white errors. It is read from CSV and written as CSV, TUM and G
 the same folder, in turn, and solve the same problem: the bare script takes the robust loss that
 fgloc has by default, and a column says how far apart the two costs are. It gets no drive longer
 than `--bare-up-to`, and gives no verdicts, scores or intervals. Of fgloc the table says in what
-stage the time goes: `rest` is imports and what has no name. Peak memory is what the system reports
-of the process. Python's compiled code is there, as after any first run.
+stage the processor time goes: `rest` is imports and what has no name. Peak memory is what the
+system reports of the process. Python's compiled code is there, as after any first run.
 """
 
 import argparse
@@ -118,7 +118,7 @@ def print_run(minutes: float, temp: Path, *, with_bare: bool) -> None:
         ratios = f"{ours.wall_s / theirs.wall_s:6.3f} {ours.cpu_s / theirs.cpu_s:6.3f}"
         apart = json.loads(ours.text)["cost"] / json.loads(theirs.text)["cost"] - 1
         bare = f"{theirs} {ratios} {apart:10.1e}"
-    spent = [*(told.get(name, 0.0) for name in STAGES), ours.wall_s - sum(told.values())]
+    spent = [*(told.get(name, 0.0) for name in STAGES), ours.cpu_s - sum(told.values())]
     print(f"{minutes:5g} {ours} {bare}   ", end="")
     print(*(f"{seconds:12.2f}" for seconds in spent), flush=True)
 
@@ -156,7 +156,7 @@ def run(command: list) -> Run:
 
 
 def profiled(stages: Path, arguments: list[str]) -> int:
-    """The command line in this process; seconds of each stage go to a file."""
+    """The command line in this process; processor time of each stage goes to a file."""
     from fgloc.cli import main as command_line
 
     spent: Counter = Counter()
@@ -169,7 +169,7 @@ def profiled(stages: Path, arguments: list[str]) -> int:
 
 
 def watch(owner: object, name: str, stage: str, spent: Counter, inside: list[float]) -> None:
-    """Put a function in a function's place that counts its time."""
+    """Put a function in a function's place that counts its processor time."""
     *parents, name = name.split(".")
     owner = functools.reduce(getattr, parents, owner)
     function = getattr(owner, name)
@@ -177,11 +177,11 @@ def watch(owner: object, name: str, stage: str, spent: Counter, inside: list[flo
     @functools.wraps(function)
     def timed(*args, **kwargs):
         inside.append(0.0)
-        began = time.perf_counter()
+        began = time.process_time()
         try:
             return function(*args, **kwargs)
         finally:
-            took = time.perf_counter() - began
+            took = time.process_time() - began
             spent[stage] += took - inside.pop()
             inside[-1] += took
 
