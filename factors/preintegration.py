@@ -27,8 +27,8 @@ from fgloc.frames import (
 )
 from fgloc.measurements import Array
 
-SAMPLES_AT_ONCE = 40_000
-"""Intervals are taken in portions of about so many samples, which bounds the memory."""
+SAMPLES_AT_ONCE = 6_000
+"""Intervals are taken in portions of about so many samples, which fit the processor's cache."""
 
 
 def preintegrate(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.measurements import Array
+from fgloc.positions import numbered
 
 FEW = 3
 """A number seen in fewer frames is a ghost's, if it is not the car's."""
@@ -52,11 +53,13 @@ def nearest(
     first = _least(frame, np.where(fits, nis, np.inf))
     witness = Witness()
     decided = np.isin(frame, frame[first])
-    number, which = np.unique(np.stack([source, object_id], -1), axis=0, return_inverse=True)
-    car, seen = (np.bincount(which, rows, len(number)) for rows in (first, decided))
-    for (s, o), times, frames in zip(number.tolist(), car.tolist(), seen.tolist(), strict=True):
-        witness.note(s, o, int(times), int(frames))
-    raised = nis + np.array([witness.cost(s, o) for s, o in number.tolist()])[which]
+    which = numbered(source, object_id)
+    car, seen = (np.bincount(which, rows) for rows in (first, decided))
+    _, one = np.unique(which, return_index=True)
+    names = list(zip(source[one].tolist(), object_id[one].tolist(), strict=True))
+    for name, times, frames in zip(names, car.tolist(), seen.tolist(), strict=True):
+        witness.note(*name, int(times), int(frames))
+    raised = nis + np.array([witness.cost(*name) for name in names])[which]
     return _least(frame, np.where(fits, raised, np.inf))
 
 
@@ -78,9 +81,8 @@ def explanations(
     A number that was often seen and seldom the car is another road user; one that was seen in fewer
     than `FEW` frames is a ghost.
     """
-    number = np.stack([source, object_id], -1)
-    known, which, seen = np.unique(number, axis=0, return_inverse=True, return_counts=True)
-    car = np.bincount(which, chosen, len(known))
+    which = numbered(source, object_id)
+    seen, car = np.bincount(which), np.bincount(which, chosen)
     frames_with_car = set(frame[chosen].tolist())
     told = []
     for i in np.flatnonzero(~chosen).tolist():

@@ -59,14 +59,16 @@ class Band:
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
 
     def add(
-        self, blocks: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array
+        self, blocks: NDArray[np.int64], at: NDArray[np.int64], J: Array, gradient: Array
     ) -> None:
         """Add M terms: one for each of some blocks (increasing, none twice).
 
-        curvature is (M, q, q) and gradient (M, q), of the unknowns `at` (up to q,), increasing;
-        they are counted from the start of the block, and on into the next block from d on. If q is
-        more, the rest are the border's k.
+        J (M, m, q) is what the curvature is the square of, and gradient is (M, q), of the unknowns
+        `at` (up to q,), increasing; they are counted from the start of the block, and on into the
+        next block from d on. If q is more, the rest are the border's k.
         """
+        # As a stack of its own: numpy's product of a mere view takes several times as long.
+        back = np.ascontiguousarray(J.swapaxes(-1, -2))
         d, m = self.gradient.blocks.shape[1], len(at)
         here, after = _span(blocks), _span(blocks + 1)
         runs = _runs(at, d)
@@ -74,11 +76,14 @@ class Band:
             first = d * (unknowns.start // d)
             rows, place = (after if first else here), _less(unknowns, first)
             for other, further in runs[i:]:
-                self.panels[rows, place, _less(further, first)] += curvature[:, own, other]
+                square = back[:, own] @ J[:, :, other]
+                self.panels[rows, place, _less(further, first)] += square
             self.gradient.blocks[rows, place] += gradient[:, own]
-            self.border[rows, place] += curvature[:, own, m:] if m < curvature.shape[1] else 0.0
-        self.corner += curvature[:, m:, m:].sum(0) if m < curvature.shape[1] else 0.0
-        self.gradient.border[:] += gradient[:, m:].sum(0) if m < curvature.shape[1] else 0.0
+            if m < J.shape[2]:
+                self.border[rows, place] += back[:, own] @ J[:, :, m:]
+        if m < J.shape[2]:
+            self.corner += (back[:, m:] @ J[:, :, m:]).sum(0)
+            self.gradient.border[:] += gradient[:, m:].sum(0)
 
     def factor(self, damping: Vector | None = None) -> "BorderedFactor":
         """The Cholesky factor, with a damping (d,) and (k,) on the diagonal, in the place of H.

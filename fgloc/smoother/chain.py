@@ -173,9 +173,7 @@ class Chain(Terms):
                     value = float((e * e).sum()) / 2
                     gradient = np.matmul(e[:, None], J)[:, 0]
                 cost += value
-                # As a stack of its own: numpy's product of a mere view takes several times as long.
-                back = np.ascontiguousarray(J.swapaxes(-1, -2))
-                band.add(term.blocks, term.at, back @ J, gradient)
+                band.add(term.blocks, term.at, J, gradient)
         self._share_biases(band.gradient.blocks)
         return cost, band
 
@@ -203,7 +201,7 @@ class Chain(Terms):
                 side = across[keys][:, own]
                 shared = np.broadcast_to(factor.cov_border, (len(keys), *factor.cov_border.shape))
                 known = np.block([[known, side], [side.swapaxes(-1, -2), shared]])
-            L = np.linalg.inv(self._whiten_position[kinds[s]])
+            L = np.linalg.cholesky(self.model.cov_m2[kinds[s]])
             predicted[kinds[s]] = L @ (J @ known @ J.swapaxes(-1, -2)) @ L.swapaxes(-1, -2)
         return cov[:, :6, :6], predicted
 
