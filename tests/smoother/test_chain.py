@@ -5,20 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fgloc.config import load_config
 from fgloc.datasets import make, open_drive
 from fgloc.datasets.degrade import degrade
 from fgloc.errors import SolverError
-from fgloc.frames import log_so3
 from fgloc.infrastructure import Infrastructure, Node
 from fgloc.measurements import NodeDetections
 from fgloc.smoother.band import Vector
-from fgloc.smoother.chain import Chain
-from fgloc.smoother.graph import GraphModel
-from fgloc.smoother.guess import guess, gyro_yaw
-from fgloc.smoother.states import Robustness, States
-from fgloc.smoother.whole import Whole
-from fgloc.sync import plan
+from fgloc.smoother.states import States
+
+from .optima import apart, robustness, solvers
 
 CASES = {
     "A": {},
@@ -44,41 +39,15 @@ def seen_by_a_node(drive, **node):
     return drive.with_tables(detections=seen)
 
 
-def solvers(drive, **settings):
-    """The model of a drive, its guess, and its graph as a chain and for GTSAM."""
-    config = load_config(**settings)
-    model = GraphModel(drive, plan(drive, config), config)
-    start = guess(model, 0, len(model) - 1, gyro_yaw(model))
-    return model, start, Chain(model, start, model.deltas()[0]), Whole(model, start)
-
-
-def robustness(chain, gated=False):
-    """The configured loss, with some fixes gated."""
-    gnss = chain.model.config.gnss
-    width = np.inf if gnss.loss == "none" else gnss.loss_width
-    return Robustness(gated | np.zeros(chain.rows, bool), width)
-
-
 def assert_same_optimum(drive, gated=(), **settings):
     """Cost within 1e-6, positions within 0.1 mm, covariances within 0.1 %."""
-    settings = {"solver": {"cost_tolerance": 1e-7}, **settings}
-    _, start, chain, whole = solvers(drive, **settings)
-    robust = robustness(chain, np.isin(np.arange(chain.rows), gated))
-    near, _, _ = chain.optimum(
-        States.of(start, chain.model), replace(robust, plain=True), rough=True
-    )
-    ours, cost, _ = chain.optimum(near, robust)
-    # GTSAM's steps are damped and its robust tail is long: it starts where we ended.
-    theirs, its_cost, _ = whole.optimum(ours, robust)
-    assert cost == pytest.approx(its_cost, rel=1e-6)
-    assert np.abs(ours.p - theirs.p).max() < 1e-4
-    assert np.abs(log_so3(ours.R.swapaxes(-1, -2) @ theirs.R)).max() < 1e-5
-    assert np.abs(ours.v - theirs.v).max() < 1e-4
-    for mine, its in zip(
-        chain.covariances(theirs, robust), whole.covariances(theirs, robust), strict=True
-    ):
-        apart = np.linalg.norm(mine - its, axis=(1, 2)) / np.linalg.norm(its, axis=(1, 2))
-        assert apart.max() < 1e-3
+    found = apart(drive, gated, **settings)
+    assert found.cost < 1e-6
+    assert found.p_m < 1e-4
+    assert found.turn_rad < 1e-5
+    assert found.v_mps < 1e-4
+    assert found.cov < 1e-3
+    assert found.predicted < 1e-3
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -130,6 +99,23 @@ def test_with_what_a_node_sees(city, node, settings):
     # Slow errors and an offset leave the position of the whole drive loose: the cost is flat there.
     solver = {"cost_tolerance": 1e-9}
     assert_same_optimum(drive, gnss={"bias_sigma_m": 1.0}, detections=settings, solver=solver)
+
+
+@pytest.mark.parametrize("name", ["city", "seen"])
+def test_the_last_steps_factor_gives_the_covariances_of_the_optimum(city, name):
+    """The factor that is left over is that of before the last step."""
+    drive = city(0, 30.0) if name == "city" else seen_by_a_node(city(1, 30.0))
+    _, start, chain, _ = solvers(drive)
+    robust = robustness(chain)
+    near, _, _ = chain.optimum(
+        States.of(start, chain.model), replace(robust, plain=True), rough=True
+    )
+    best, _, _ = chain.optimum(near, robust)
+    assert chain._last is not None
+    left_over, _ = chain.covariances(best, robust)
+    anew, _ = chain.covariances(replace(best), robust)
+    norm = np.linalg.norm(anew, axis=(1, 2))
+    assert 0 < (np.linalg.norm(left_over - anew, axis=(1, 2)) / norm).max() < 1e-3
 
 
 def test_the_cost_anywhere_is_that_of_the_graph(city):
