@@ -12,12 +12,12 @@ from fgloc.measurements import Array
 
 def of(stack: Array) -> Array:
     """The field (..., n) of a stack (n, ...)."""
-    return np.ascontiguousarray(np.moveaxis(stack, 0, -1))
+    return np.ascontiguousarray(stack.transpose(*range(1, stack.ndim), 0))
 
 
 def rows(field: Array) -> Array:
     """A field (..., n) seen as a stack (n, ...)."""
-    return np.moveaxis(field, -1, 0)
+    return field.transpose(-1, *range(field.ndim - 1))
 
 
 def product(A: Array, B: Array) -> Array:

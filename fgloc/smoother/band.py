@@ -6,6 +6,7 @@ in a fraction of a second, and the blocks of the inverse follow from the factor.
 all blocks share stand in a border, [[H, B], [B', C]], and are solved for by its Schur complement.
 """
 
+from collections.abc import Callable
 from functools import cache
 from importlib.machinery import PathFinder
 from importlib.util import module_from_spec
@@ -71,13 +72,11 @@ class Band:
         back = np.ascontiguousarray(J.swapaxes(-1, -2))
         d, m = self.gradient.blocks.shape[1], len(at)
         here, after = _span(blocks), _span(blocks + 1)
-        runs = _runs(at, d)
-        for i, (own, unknowns) in enumerate(runs):
-            first = d * (unknowns.start // d)
-            rows, place = (after if first else here), _less(unknowns, first)
-            for other, further in runs[i:]:
-                square = back[:, own] @ J[:, :, other]
-                self.panels[rows, place, _less(further, first)] += square
+        for own, first, squares in _pieces(tuple(at.tolist()), d):
+            rows = here if first < d else after
+            place = slice(first % d, first % d + own.stop - own.start)
+            for other, further in squares:
+                self.panels[rows, place, further] += back[:, own] @ J[:, :, other]
             self.gradient.blocks[rows, place] += gradient[:, own]
             if m < J.shape[2]:
                 self.border[rows, place] += back[:, own] @ J[:, :, m:]
@@ -209,15 +208,29 @@ def _panels(columns: Array, n: int) -> Array:
     return columns.reshape(n, -1)[:, : 2 * d * d].reshape(n, d, 2 * d)
 
 
-def _runs(at: NDArray[np.int64], d: int) -> list[tuple[slice, slice]]:
-    """Unknowns that follow each other within a block: their places in `at`, and what they are."""
-    ends = np.flatnonzero((np.diff(at) != 1) | (at[1:] == d)) + 1
-    pairs = pairwise([0, *ends.tolist(), len(at)] if len(at) else [])
-    return [(slice(i, j), slice(int(at[i]), int(at[j - 1]) + 1)) for i, j in pairs]
+@cache
+def _pieces(at: tuple[int, ...], d: int) -> list[tuple[slice, int, list[tuple[slice, slice]]]]:
+    """How the unknowns `at` lie in panels: of each run of one block where it stands in `at`, its
+    first unknown, and of every run from there on where it stands in `at` and in the rows of the
+    panel."""
+    pieces = []
+    for own in _runs(at, lambda i: at[i] == d):
+        first = at[own.start]
+        block = first - first % d
+        following = _runs(at[own.start :], lambda i: False)
+        squares = [
+            (slice(own.start + run.start, own.start + run.stop),
+             slice(at[own.start + run.start] - block, at[own.start + run.stop - 1] + 1 - block))
+            for run in following
+        ]  # fmt: skip
+        pieces.append((own, first, squares))
+    return pieces
 
 
-def _less(run: slice, by: int) -> slice:
-    return slice(run.start - by, run.stop - by)
+def _runs(at: tuple[int, ...], cut: Callable[[int], bool]) -> list[slice]:
+    """Where unknowns follow each other without a gap and without a cut before one."""
+    ends = [i for i in range(1, len(at)) if at[i] != at[i - 1] + 1 or cut(i)]
+    return [slice(i, j) for i, j in pairwise([0, *ends, len(at)] if at else [])]
 
 
 def _span(index: NDArray[np.int64]) -> Index:

@@ -27,7 +27,7 @@ from fgloc.smoother.terms import (
 )
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 512
+BLOCKS_AT_ONCE = 1024
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
@@ -267,6 +267,8 @@ def _loss(term: Term) -> tuple[float, Array, Array]:
 
 def _bent(J: Array, error: Array, across: Array, along: Array) -> Array:
     """Jacobians whose square has weights (M, 1) across the error's direction and along it."""
+    if along is across:
+        return np.asarray(np.sqrt(across)[..., None] * J)
     norm = np.linalg.norm(error, axis=-1, keepdims=True)
     direction = error / np.maximum(norm, 1e-300)
     shrink = np.sqrt(across) - np.sqrt(np.maximum(along, 0))

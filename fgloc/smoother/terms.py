@@ -90,7 +90,8 @@ class Terms:
     def _whitening(self, cov: Array, keys: NDArray[np.int64]) -> Array:
         """W (m, r, r) with W cov W' = I; SolverError names the keyframe where there is none."""
         try:
-            return np.ascontiguousarray(rows(inverse_of_lower(of(np.linalg.cholesky(cov)))))
+            L = of(np.asarray(np.linalg.cholesky(cov), np.float64))
+            return np.ascontiguousarray(rows(inverse_of_lower(L)))
         except np.linalg.LinAlgError as err:
             sound = np.nan_to_num(cov, nan=-1.0, posinf=-1.0, neginf=-1.0)
             j = int(keys[np.argmin(np.linalg.eigvalsh(sound)[:, 0] > 0)])
