@@ -15,7 +15,8 @@ NEAR = 0.1
 SURE, SLOW, SHORT_RAD = 0.1, 0.1, 0.01
 """After a step of Newton's that promises this share of the cost, the next is likely the last, and
 takes the curvature of covariances. That comes nearer more slowly, so it must leave less, by this
-factor. A last step that turns nothing by more than so many rad does what it promises."""
+factor; where it has promised more than `FINE`, Newton's is next again. A last step that turns
+nothing by more than so many rad does what it promises."""
 LEAST = 1e-3
 """The share of its promise that a step leaves at least: one far from the optimum promises so much
 that the next ones seem to come near faster than they do."""
@@ -78,7 +79,7 @@ class Descent:
                 self.factor = factor if fine else None
                 return trial, value - promise
             del band, factor  # which have the same memory: there is room for one
-            ends = curvature == "newton" and promise <= SURE * value
+            ends = promise <= (SURE if curvature == "newton" else FINE) * value
             following: Curvature = "weights" if ends else "newton"
             trial_value, band = self.cost.linearize(trial, self.robust, following)
             climbs = not trial_value <= value
