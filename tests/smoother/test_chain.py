@@ -101,11 +101,9 @@ def test_with_what_a_node_sees(city, node, settings):
     assert_same_optimum(drive, gnss={"bias_sigma_m": 1.0}, detections=settings, solver=solver)
 
 
-@pytest.mark.parametrize("name", ["city", "seen"])
-def test_the_last_steps_factor_gives_the_covariances_of_the_optimum(city, name):
+def test_the_last_steps_factor_gives_the_covariances_of_the_optimum(city):
     """The factor that is left over is that of before the last step."""
-    drive = city(0, 30.0) if name == "city" else seen_by_a_node(city(1, 30.0))
-    _, start, chain, _ = solvers(drive)
+    _, start, chain, _ = solvers(city(0, 30.0))
     robust = robustness(chain)
     near, _, _ = chain.optimum(
         States.of(start, chain.model), replace(robust, plain=True), rough=True
