@@ -12,12 +12,11 @@ import numpy as np
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
 from fgloc.errors import InputError
+from fgloc.measurements import NodeDetections, RelativeSightings
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
-from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
-from fgloc.smoother.posts import smooth_posts
 from fgloc.smoother.roadside import roadside
 from fgloc.smoother.steady import steadied
 from fgloc.sync import plan
@@ -62,9 +61,13 @@ def _by_drive(drive: Drive, config: SmoothConfig) -> Result:
         _refuse_incremental(drive, config)
         return planar(drive, config.lag_s if config.mode == "fixed-lag" else None)
     if is_cooperative(drive):
+        from fgloc.smoother.cooperative import run_cooperative
+
         return replace(run_cooperative(drive, config), config=_provenance(config))
     if drive.has_vehicle:
         return _vehicle(drive, config)
+    from fgloc.smoother.posts import smooth_posts
+
     return smooth_posts(drive, config, _method(config))
 
 
@@ -87,6 +90,12 @@ def _refuse_incremental(drive: Drive, config: SmoothConfig) -> None:
             f"drive {drive.name!r} takes a planar graph, which has the modes batch and fixed-lag, "
             "not incremental"
         )
+
+
+def is_cooperative(drive: Drive) -> bool:
+    """Whether a drive is of several road users, seen by nodes, rather than of one car."""
+    others = drive.objects is not None or RelativeSightings.KIND in drive.tables
+    return others and NodeDetections.KIND in drive.tables and "imu" not in drive.tables
 
 
 def _vehicle(drive: Drive, config: SmoothConfig) -> Result:

@@ -57,6 +57,10 @@ class Solver(Protocol):
     ) -> tuple[States, float, int]:
         """The states of least cost, that cost and the iterations; `rough` may stop when near."""
 
+    def rough_predictions(self, states: States) -> Array | None:
+        """Covariances (rows, 3, 3) in m^2 of what the positions measure as predicted at the states
+        of a rough optimum; None where they take as long as the whole."""
+
     def covariances(self, states: States, robust: Robustness) -> Spread:
         """Of the poses, and of what the positions and the vehicle's own sources measure."""
 
@@ -85,20 +89,20 @@ class BatchRun:
 def run_batch(model: Model) -> BatchRun:
     """Solve the drive and fill the verdicts of the model's plan.
 
-    A measurement's NIS is that of leaving it out: itself against all others.
-    Candidates join once the drive is solved without them. Raises SolverError where the graph
+    A measurement's NIS is that of leaving it out: itself against all others. Candidates join once
+    the drive is solved without them, the plain ones roughly. Raises SolverError where the graph
     cannot be solved.
     """
     deltas, inner = model.deltas()
     start = guess(model, 0, len(model) - 1, yaw_by_turns(model))
     solver = _solver(model, start, deltas)
     states, robust, cost, iterations = _settle(model, solver, States.of(start, model))
-    if cost > misfit(len(model.guides) + model.car.worth(0, len(model))):
+    if cost > misfit(int((~robust.gated).sum()) + model.car.worth(0, len(model))):
         turned = _turned(model, solver, start)
         if turned is not start:
             states, robust, cost, iterations = _settle(model, solver, States.of(turned, model))
     limits: dict[str, Array] = {}
-    near = bool(model.positions.candidates.any())
+    near = _wait(model, robust)
     for rounds in range(1, MAX_ROUNDS + 1):
         spread = solver.covariances(states, robust)
         told = {POSITIONS: _positions(model, states, spread.positions, robust),
@@ -127,26 +131,51 @@ def run_batch(model: Model) -> BatchRun:
     return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, told)
 
 
-def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robustness, float, int]:
+def _settle(
+    model: Model, solver: Solver, states: States, *, join: bool = True
+) -> tuple[States, Robustness, float, int]:
     """The optimum from a guess, and the loss that it took: first none, to come near.
 
-    From afar every fix is an outlier, and a loss has no curvature to steer by. Where candidates
-    are to join, near is enough: what they say of the states is more than what is left.
+    From afar every fix is an outlier, and a loss has no curvature to steer by. Candidates that
+    `_alone` finds join if they are to. While all of them wait, near is enough: what they say of the
+    states is more than what is left.
     """
     n = int(np.searchsorted(model.key_of, len(states.p)))
-    nothing = model.positions.candidates[:n]
+    left_out = model.positions.candidates[:n]
     states, cost, iterations = solver.optimum(
-        states, Robustness(nothing, np.inf, plain=True), rough=True
+        states, Robustness(left_out, np.inf, plain=True), rough=True
     )
-    width, fixes = np.inf, ~nothing
+    width, fixes = np.inf, ~left_out
     if model.config.gnss.loss != "none" and fixes.any():
         error = position_errors(model, states, n)[fixes]
         norm = np.sqrt(noise.nis(error, model.cov_m2[:n][fixes]))
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
-    robust = Robustness(nothing, width)
-    states, cost, more = solver.optimum(states, robust, rough=bool(nothing.any()))
+    if join and left_out.any() and (P := solver.rough_predictions(states)) is not None:
+        left_out = left_out & ~_alone(model, states, P)
+        states, _, more = solver.optimum(
+            states, Robustness(left_out, np.inf, plain=True), rough=True
+        )
+        iterations += more
+    robust = Robustness(left_out, width)
+    states, cost, more = solver.optimum(states, robust, rough=join and _wait(model, robust))
     return states, robust, cost, iterations + more
+
+
+def _alone(model: Model, states: States, P: Array) -> NDArray[np.bool_]:
+    """Which of the positions (rows,) are candidates that pass the gate while no other of the frame
+    does; P is the covariance of what they measure as predicted without them."""
+    p, n = model.positions, len(P)
+    nis = noise.nis(position_errors(model, states, n), P + model.cov_m2[:n])
+    gates = np.array([source.gate_nis for source in model.sources])
+    fits = p.candidates[:n] & (nis <= gates[p.source[:n]])
+    return np.asarray(fits & (np.bincount(p.frame[:n], fits)[p.frame[:n]] == 1))
+
+
+def _wait(model: Model, robust: Robustness) -> bool:
+    """Whether there are candidates, and none is in."""
+    among = model.positions.candidates[: len(robust.gated)]
+    return bool(among.any()) and bool(robust.gated[among].all())
 
 
 def _limits(model: Model, told: Mapping[str, LeftOut]) -> dict[str, Array]:
@@ -234,7 +263,7 @@ def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
     begin = solver.first(n)
 
     def cost(turned: Guess) -> float:
-        return _settle(model, begin, States.of(turned, model).first(n))[2]
+        return _settle(model, begin, States.of(turned, model).first(n), join=False)[2]
 
     return choose_yaw(start, len(model.fixed(0, n)) + model.car.worth(0, n), cost)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.errors import SolverError
-from fgloc.factors import noise
+from fgloc.factors import imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
 from fgloc.smoother import clocks, sketch
@@ -19,7 +19,7 @@ from fgloc.smoother.term import BIAS, POSE, VELOCITY, Term
 from fgloc.smoother.terms import Terms, late_residual, position_residual
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 512
+BLOCKS_AT_ONCE = 1024
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
@@ -28,6 +28,7 @@ class Chain(Terms):
 
     converged = True
     _last: tuple[States, Robustness, BorderedFactor] | None = None
+    _sketched: tuple["Chain", States] | None = None
 
     @cached_property
     def damping(self) -> Vector:
@@ -56,7 +57,7 @@ class Chain(Terms):
         Raises SolverError that names the state and its time.
         """
         self._last = None
-        if rough and (sketched := self._sketch(states)) is not None:
+        if rough and (sketched := self._sketch(states, robust)) is not None:
             return sketched
         solver = self.model.config.solver
         descent = Descent(self, robust, solver.max_iterations)
@@ -73,13 +74,13 @@ class Chain(Terms):
             self._last = result, robust, descent.factor
         return result, cost, descent.iterations
 
-    def _sketch(self, states: States) -> tuple[States, float, int] | None:
+    def _sketch(self, states: States, robust: Robustness) -> tuple[States, float, int] | None:
         """States, cost and iterations of a sketch, or None where there is none that fits."""
-        keys = sketch.few_keyframes(self.model, self.n)
-        if keys is None:
+        if self._few is None:
             return None
-        model = sketch.few_model(self.model, keys)
-        few = Chain(model, self._prior, sketch.few_deltas(self.deltas, keys))
+        keys, deltas = self._few
+        model = sketch.few_model(self.model, keys, robust.gated)
+        few = Chain(model, self._prior, deltas)
         nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
         try:
             found, cost, iterations = few.optimum(states.take(keys), nothing, rough=True)
@@ -87,8 +88,31 @@ class Chain(Terms):
             return None
         if not cost <= misfit(few.rows):
             return None
-        g = model.gravity_mps2
+        self._sketched = few, found
+        g = self.model.gravity_mps2
         return sketch.all_states(found, keys, self.deltas, self.bias_of, g), cost, iterations
+
+    @cached_property
+    def _few(self) -> tuple[NDArray[np.int64], imu.ImuDeltas] | None:
+        """The keyframes of a sketch and the IMU between them, where a sketch is worth it."""
+        keys = sketch.few_keyframes(self.model, self.n)
+        return None if keys is None else (keys, sketch.few_deltas(self.deltas, keys))
+
+    def rough_predictions(self, states: States) -> Array | None:
+        """Covariances (rows, 3, 3) in m^2 of what the positions measure as predicted, about: from
+        the last sketch. None where there is none, or where more than the pose has a part in it."""
+        if self._few is None or self._sketched is None or self.border.size or self.slow_at:
+            return None
+        (keys, _), (few, found) = self._few, self._sketched
+        nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
+        cov = few.covariances(found, nothing).poses
+        at = np.searchsorted(keys, self.key_of, side="right") - 1
+        predicted = np.empty((self.rows, 3, 3))
+        for s in np.unique(self.source).tolist():
+            rows = np.flatnonzero(self.source == s)
+            J = position_residual(self.model, states, rows, s).by_pose
+            predicted[rows] = J @ cov[at[rows]] @ J.swapaxes(-1, -2)
+        return predicted
 
     def moved(self, states: States, back: Vector) -> States:
         """The states after a step back along a vector of their tangents; copies stay alike."""
@@ -141,9 +165,7 @@ class Chain(Terms):
                     value = float((e * e).sum()) / 2
                     gradient = np.matmul(e[:, None], J)[:, 0]
                 cost += value
-                # As a stack of its own: numpy's product of a mere view takes several times as long.
-                back = np.ascontiguousarray(J.swapaxes(-1, -2))
-                band.add(term.blocks, term.at, back @ J, gradient)
+                band.add(term.blocks, term.at, J, gradient)
         self._share_biases(band.gradient.blocks)
         return cost, band
 
@@ -165,7 +187,7 @@ class Chain(Terms):
         known = Known(factor, at)
         predicted = np.empty((self.rows, 3, 3))
         for s, term in terms.items():
-            L = np.linalg.inv(self._whiten_position[kinds[s]])
+            L = np.linalg.cholesky(self.model.cov_m2[kinds[s]])
             predicted[kinds[s]] = L @ known.predicted(term) @ L.swapaxes(-1, -2)
         by_source = {name: known.predicted(term) for name, term in held.items()}
         return Spread(known.blocks[:, :6, :6], predicted, by_source)
@@ -254,6 +276,8 @@ def _loss(term: Term) -> tuple[float, Array, Array]:
 
 def _bent(J: Array, error: Array, across: Array, along: Array) -> Array:
     """Jacobians whose square has weights (M, 1) across the error's direction and along it."""
+    if along is across:
+        return np.asarray(np.sqrt(across)[..., None] * J)
     norm = np.linalg.norm(error, axis=-1, keepdims=True)
     direction = error / np.maximum(norm, 1e-300)
     shrink = np.sqrt(across) - np.sqrt(np.maximum(along, 0))

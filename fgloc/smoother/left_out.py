@@ -65,5 +65,5 @@ def leave_out(
     spread[kept] = gain @ weighted[kept] - weighted[kept]
     informed = np.ones(len(error), bool)
     least = ALONE * weighted[kept].trace(axis1=1, axis2=2)
-    informed[kept] = np.linalg.eigvalsh(rest)[:, 0] > least
+    informed[kept] = noise.positive_definite(rest - least[:, None, None] * np.eye(error.shape[1]))
     return LeftOut(keys, without, spread, own, weight, informed, kept)

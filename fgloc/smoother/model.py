@@ -168,8 +168,8 @@ def _imu_noise(drive: Drive, config: SmoothConfig) -> ImuNoise:
 def _bias_grid(t_s: Array, interval_s: float) -> tuple[np.ndarray, Array]:
     """Index (n,) of each keyframe's bias, and the time in s (m,) at which each bias begins."""
     index, starts = np.zeros(len(t_s), int), [0.0]
-    for j, t in enumerate(t_s):
+    for j, t in enumerate(t_s.tolist()):
         if t - starts[-1] >= interval_s - 1e-9:
-            starts.append(float(t))
+            starts.append(t)
         index[j] = len(starts) - 1
     return index, np.array(starts)

@@ -4,9 +4,11 @@ All factors are linear in vector states (`fgloc.factors.post`), so GTSAM solves 
 step and iSAM2 never relinearises. Where a drive has vehicles as well, see `steady`.
 """
 
-from collections.abc import Callable
+from __future__ import annotations
 
-import gtsam
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from fgloc.config import SmoothConfig
@@ -19,6 +21,9 @@ from fgloc.result import Result
 from fgloc.smoother.post_modes import with_modes
 from fgloc.sway import SOURCE, Watch, post_states, result, watches
 from fgloc.verdicts import SourceVerdicts
+
+if TYPE_CHECKING:
+    import gtsam
 
 Estimate = tuple[Array, Array]
 """States (k, 6) and their covariances (k, 6, 6)."""
@@ -73,6 +78,8 @@ def estimated(watch: Watch, config: SmoothConfig, judged: SourceVerdicts) -> Est
 
 def _batch(watch: Watch) -> Estimate:
     """Every state from all that is told of the post."""
+    import gtsam
+
     graph, zero = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k in range(len(watch.t_ns)):
         zero.insert(_key(k), np.zeros(6))
@@ -90,6 +97,8 @@ def _online(config: SmoothConfig) -> Callable[[Watch], Estimate]:
     lag_s = config.lag_s if config.mode == "fixed-lag" else np.inf
 
     def solve(watch: Watch) -> Estimate:
+        import gtsam
+
         params = gtsam.ISAM2Params()
         params.setRelinearizeThreshold(_NEVER)
         params.findUnusedFactorSlots = True
@@ -106,6 +115,8 @@ def _added(
     smoother: gtsam.IncrementalFixedLagSmoother, watch: Watch, k: int, t_s: float
 ) -> tuple[Array, Array]:
     """The k-th state and its covariance right after it came in."""
+    import gtsam
+
     graph, zero = gtsam.NonlinearFactorGraph(), gtsam.Values()
     zero.insert(_key(k), np.zeros(6))
     for factor in factors_of(watch, k):
@@ -131,4 +142,6 @@ def _judge(watch: Watch, estimate: Estimate, judged: SourceVerdicts) -> None:
 
 
 def _key(k: int) -> int:
+    import gtsam
+
     return gtsam.symbol("s", k)

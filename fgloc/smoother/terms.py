@@ -19,6 +19,7 @@ from fgloc.constraints import STANDSTILL
 from fgloc.drive import GnssBias
 from fgloc.errors import SolverError
 from fgloc.factors import detection, gnss, imu, vehicle
+from fgloc.factors.fields import inverse_of_lower, of, rows
 from fgloc.frames import log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
 from fgloc.measurements import Array
 from fgloc.positions import GNSS
@@ -59,7 +60,8 @@ class Terms:
     def _whitening(self, cov: Array, keys: NDArray[np.int64]) -> Array:
         """W (m, r, r) with W cov W' = I; SolverError names the keyframe where there is none."""
         try:
-            return np.linalg.inv(np.linalg.cholesky(cov))
+            L = of(np.asarray(np.linalg.cholesky(cov), np.float64))
+            return np.ascontiguousarray(rows(inverse_of_lower(L)))
         except np.linalg.LinAlgError as err:
             sound = np.nan_to_num(cov, nan=-1.0, posinf=-1.0, neginf=-1.0)
             j = int(keys[np.argmin(np.linalg.eigvalsh(sound)[:, 0] > 0)])

@@ -60,6 +60,9 @@ class Whole:
         self.converged = iterations < self.model.config.solver.max_iterations
         return self._states(values, robust, states), float(graph.error(values)), iterations
 
+    def rough_predictions(self, states: States) -> None:
+        """None: GTSAM solves no sketch."""
+
     def covariances(self, states: States, robust: Robustness) -> Spread:
         """Of the poses, and of what the positions and the vehicle's own sources measure."""
         joint = covariances(self._graph(robust), self._values(states, robust), self.model)

@@ -6,22 +6,17 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import B, K, V, X
 
-from fgloc.config import load_config
 from fgloc.datasets import make, open_drive
 from fgloc.datasets.degrade import degrade
 from fgloc.errors import SolverError
 from fgloc.factors import vehicle
-from fgloc.frames import log_so3
 from fgloc.infrastructure import Infrastructure, Node
 from fgloc.measurements import NodeDetections
 from fgloc.smoother.band import Vector
-from fgloc.smoother.chain import Chain
-from fgloc.smoother.graph import GraphModel
-from fgloc.smoother.guess import guess, yaw_by_turns
 from fgloc.smoother.solve import covariances
-from fgloc.smoother.states import Robustness, States
-from fgloc.smoother.whole import Whole
-from fgloc.sync import plan
+from fgloc.smoother.states import States
+
+from .optima import apart, relative, robustness, solvers
 
 CASES = {
     "A": {},
@@ -47,46 +42,15 @@ def seen_by_a_node(drive, **node):
     return drive.with_tables(detections=seen)
 
 
-def solvers(drive, **settings):
-    """The model of a drive, its guess, and its graph as a chain and for GTSAM."""
-    config = load_config(**settings)
-    model = GraphModel(drive, plan(drive, config), config)
-    start = guess(model, 0, len(model) - 1, yaw_by_turns(model))
-    deltas, _ = model.deltas()
-    return model, start, Chain(model, start, deltas), Whole(model, start, deltas)
-
-
-def robustness(chain, gated=False):
-    """The configured loss, with some fixes gated."""
-    gnss = chain.model.config.gnss
-    width = np.inf if gnss.loss == "none" else gnss.loss_width
-    return Robustness(gated | np.zeros(chain.rows, bool), width)
-
-
 def assert_same_optimum(drive, gated=(), unheld=(), **settings):
     """Cost within 1e-6, positions within 0.1 mm, covariances within 0.1 %."""
-    settings = {"solver": {"cost_tolerance": 1e-7}, **settings}
-    _, start, chain, whole = solvers(drive, **settings)
-    robust = robustness(chain, np.isin(np.arange(chain.rows), gated))
-    robust = replace(robust, unheld=dict(unheld))
-    near, _, _ = chain.optimum(
-        States.of(start, chain.model), replace(robust, plain=True), rough=True
-    )
-    ours, cost, _ = chain.optimum(near, robust)
-    # GTSAM's steps are damped and its robust tail is long: it starts where we ended.
-    theirs, its_cost, _ = whole.optimum(ours, robust)
-    assert cost == pytest.approx(its_cost, rel=1e-6)
-    assert np.abs(ours.p - theirs.p).max() < 1e-4
-    assert np.abs(log_so3(ours.R.swapaxes(-1, -2) @ theirs.R)).max() < 1e-5
-    assert np.abs(ours.v - theirs.v).max() < 1e-4
-    mine, its = (one.covariances(theirs, robust) for one in (chain, whole))
-    assert relative(mine.poses, its.poses).max() < 1e-3
-    assert relative(mine.positions, its.positions).max() < 1e-3
-
-
-def relative(cov, other):
-    """How far covariances (n, m, m) are apart, relative to the second."""
-    return np.linalg.norm(cov - other, axis=(1, 2)) / np.linalg.norm(other, axis=(1, 2))
+    found = apart(drive, gated, unheld, **settings)
+    assert found.cost < 1e-6
+    assert found.p_m < 1e-4
+    assert found.turn_rad < 1e-5
+    assert found.v_mps < 1e-4
+    assert found.cov < 1e-3
+    assert found.predicted < 1e-3
 
 
 def test_what_the_car_says_is_predicted_as_well_as_by_gtsam(city):
@@ -163,6 +127,20 @@ def test_with_what_a_node_sees(city, node, settings):
     # Slow errors and an offset leave the position of the whole drive loose: the cost is flat there.
     solver = {"cost_tolerance": 1e-9}
     assert_same_optimum(drive, gnss={"bias_sigma_m": 1.0}, detections=settings, solver=solver)
+
+
+def test_the_last_steps_factor_gives_the_covariances_of_the_optimum(city):
+    """The factor that is left over is that of before the last step."""
+    _, start, chain, _ = solvers(city(0, 30.0))
+    robust = robustness(chain)
+    near, _, _ = chain.optimum(
+        States.of(start, chain.model), replace(robust, plain=True), rough=True
+    )
+    best, _, _ = chain.optimum(near, robust)
+    assert chain._last is not None
+    left_over = chain.covariances(best, robust).poses
+    anew = chain.covariances(replace(best), robust).poses
+    assert 0 < relative(left_over, anew).max() < 1e-3
 
 
 def test_the_cost_anywhere_is_that_of_the_graph(city):

@@ -55,7 +55,9 @@ def test_the_imu_between_few_keyframes_carries_them_to_all_the_others(city):
     np.testing.assert_allclose(again.p[inner], exact.p[inner], atol=1e-9)
     np.testing.assert_allclose(again.R[inner], exact.R[inner], atol=1e-12)
     few = Chain(
-        sketch.few_model(chain.model, keys), chain._prior, sketch.few_deltas(chain.deltas, keys)
+        sketch.few_model(chain.model, keys, np.zeros(chain.rows, bool)),
+        chain._prior,
+        sketch.few_deltas(chain.deltas, keys),
     )
     term = few._motion(again.take(keys), slice(0, len(keys) - 2))
     assert np.abs(term.error).max() < 1e-4
