@@ -108,6 +108,7 @@ def _consistency(
     worth = min(effective_samples(nis[1][order]), len(order) / alike)
     low, high = anees_band(worth, 3)
     return Consistency(
-        fixes, outage_s, int(rows.sum()), worth, float(nis[0].mean()), float(nis[1].mean()),
-        low, high, -score[0], -score[1],
+        fixes=fixes, outage_s=outage_s, n=int(rows.sum()), worth=worth, low=low, high=high,
+        nis_before=float(nis[0].mean()), nis_after=float(nis[1].mean()),
+        log_likelihood_before=-score[0], log_likelihood_after=-score[1],
     )  # fmt: skip

@@ -231,8 +231,9 @@ def _consistency(source: str, before: Told, after: Told, rounds: Rounds) -> AidC
     worth = effective_samples(nis[1])
     low, high = anees_band(worth, dof)
     return AidConsistency(
-        source, len(nis[1]), worth, float(nis[0].mean()), float(nis[1].mean()), low, high,
-        int((~after.fine).sum()),
+        source=source, n=len(nis[1]), worth=worth, low=low, high=high,
+        nis_before=float(nis[0].mean()), nis_after=float(nis[1].mean()),
+        outliers=int((~after.fine).sum()),
     )  # fmt: skip
 
 

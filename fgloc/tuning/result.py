@@ -31,58 +31,51 @@ class TunedSetting:
     relative_sigma: float | None
 
 
-@dataclass(frozen=True)
-class Consistency:
-    """Unseen fixes as predicted with so many withheld in a row, before and after.
+@dataclass(frozen=True, kw_only=True)
+class Judged:
+    """Measurements that the search has not seen, as all others predict them, before and after.
 
-    outage_s        how long the gap is, in s
-    n, worth        how many were compared, and as how many independent ones they count
-    nis_...         mean NIS over its degrees of freedom; 1 is consistent
-    low, high       the band that holds 95 % of what is consistent
+    n, worth  how many were compared, and as how many independent ones they count
+    nis_...   mean NIS over its degrees of freedom; 1 is consistent
+    low, high the band that holds 95 % of what is consistent
+    """
+
+    n: int
+    worth: float
+    nis_before: float
+    nis_after: float
+    low: float
+    high: float
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the NIS after lies within its band."""
+        return self.low <= self.nis_after <= self.high
+
+
+@dataclass(frozen=True, kw_only=True)
+class Consistency(Judged):
+    """Unseen fixes as predicted with so many withheld in a row.
+
+    outage_s            how long the gap is, in s
     log_likelihood_...  mean of a fix, without the constant
     """
 
     fixes: int
     outage_s: float
-    n: int
-    worth: float
-    nis_before: float
-    nis_after: float
-    low: float
-    high: float
     log_likelihood_before: float
     log_likelihood_after: float
 
-    @property
-    def consistent(self) -> bool:
-        """Whether the NIS after lies within its band."""
-        return self.low <= self.nis_after <= self.high
 
+@dataclass(frozen=True, kw_only=True)
+class AidConsistency(Judged):
+    """Measurements of one source on unseen stretches.
 
-@dataclass(frozen=True)
-class AidConsistency:
-    """Measurements of one source, on stretches that the search has not seen, as all others predict
-    them, before and after.
-
-    n, worth  how many were compared, and as how many independent ones they count
-    nis_...   mean NIS over its degrees of freedom; 1 is consistent
-    low, high the band that holds 95 % of what is consistent
     outliers  how many of the whole drive lie far beyond the bulk and took no part
     """
 
     source: str
-    n: int
-    worth: float
-    nis_before: float
-    nis_after: float
-    low: float
-    high: float
     outliers: int
-
-    @property
-    def consistent(self) -> bool:
-        """Whether the NIS after lies within its band."""
-        return self.low <= self.nis_after <= self.high
 
 
 @dataclass(frozen=True)
