@@ -24,6 +24,7 @@ from fgloc.datasets.drive_tables import (
     steering_from_columns,
     table_to_columns,
     velocity_from_columns,
+    users_from_columns,
     wheel_from_columns,
 )
 from fgloc.datasets.drive_toml import (
@@ -274,7 +275,7 @@ def _table(
     readers = {
         "imu": imu_from_columns, "wheel": wheel_from_columns, "steering": steering_from_columns,
         "odometry": odometry_from_columns, "velocity": velocity_from_columns,
-        "relative": relative_from_columns,
+        "relative": relative_from_columns, "users": users_from_columns,
     }  # fmt: skip
     return readers[stem](path, columns)
 

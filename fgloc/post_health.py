@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from fgloc.drive import Drive
-from fgloc.measurements import Array, NodePoses
+from fgloc.measurements import Array, NodeDetections, NodePoses
 from fgloc.posts import PostStates
 from fgloc.timing import NS_PER_S
 
@@ -24,17 +24,17 @@ def post_health(drive: Drive, posts: PostStates) -> dict[str, dict[str, Any]]:
     latency_s              median time from a pose to its arrival
     """
     found = {}
-    table = drive.tables[NodePoses.KIND]
+    table = drive.tables.get(NodePoses.KIND)
     for node in np.unique(posts.node).tolist():
         post = drive.infrastructure.post_of(node)
-        if post is None or not isinstance(table, NodePoses):
+        if post is None:
             continue
         length_m = np.linalg.norm(posts.of(node).p_node_m, axis=-1)
         found[post.node] = {
             "frequency_hz": post.frequency_hz, "damping": post.damping,
             "rms_m": float(np.sqrt(np.mean(length_m**2))), "largest_m": float(length_m.max()),
             "strongest_hz": strongest_hz(posts.of(node)),
-            **_arrival(table.take(table.node == node)),
+            **(arrival(table.take(table.node == node), "poses") if isinstance(table, NodePoses) else {}),
         }  # fmt: skip
     return found
 
@@ -60,11 +60,11 @@ def strongest_hz(posts: PostStates) -> float | None:
     return float(frequency_hz[np.argmax(np.linalg.norm(amplitude_m, axis=-1))])
 
 
-def _arrival(poses: NodePoses) -> dict[str, Any]:
-    """What is known of how the poses of one node came in."""
+def arrival(poses: NodePoses | NodeDetections, name: str) -> dict[str, Any]:
+    """What is known of how the rows of one node, called so, came in."""
     latency_s = float(np.median(poses.received_ns - poses.t_ns)) / NS_PER_S
     instants = np.unique(poses.t_ns)
-    told: dict[str, Any] = {"poses": len(poses), "latency_s": latency_s}
+    told: dict[str, Any] = {name: len(poses), "latency_s": latency_s}
     if len(instants) < 3:
         return told | {"rate_hz": None, "missing_share": None}
     period_ns = float(np.median(np.diff(instants)))

@@ -25,7 +25,7 @@ from fgloc.factors.post import linear_factor
 from fgloc.factors.sway import compensated, detection_factor, linear_row
 from fgloc.measurements import Array, NodeDetections
 from fgloc.smoother.posts import factors_of
-from fgloc.sway import Watch, watches
+from fgloc.watches import Watch, watches
 
 ACCELERATION = 1.0  # density, (m/s^2)^2 / Hz, of what a car does beside going straight
 START_M, START_MPS = 100.0, 20.0

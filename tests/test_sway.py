@@ -18,7 +18,7 @@ from fgloc.infrastructure import Infrastructure, Node, Post
 from fgloc.measurements import NodePoses
 from fgloc.posts import PostStates
 from fgloc.smoother.post_modes import log_likelihood, sought
-from fgloc.sway import watches
+from fgloc.watches import watches
 
 LOW, HIGH = "khamooshi2023/sway-low", "khamooshi2023/sway-high"
 POST = Post("pole", 10.0, 1.5, 0.02, 20.0, 0.138, 200.0, 0.3)

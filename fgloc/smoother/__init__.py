@@ -8,14 +8,15 @@ from typing import Any, TypeVar
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
+from fgloc.post_health import post_health
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
+from fgloc.smoother.post_results import post_table
 from fgloc.smoother.posts import smooth_posts
 from fgloc.smoother.roadside import roadside
-from fgloc.smoother.steady import steadied
 from fgloc.sync import plan
 from fgloc.verdicts import counts
 
@@ -57,12 +58,8 @@ def smooth(drive: Drive, config: SmoothConfig) -> Result:
 
 
 def _vehicle(drive: Drive, config: SmoothConfig) -> Result:
-    """A drive with a vehicle; what its nodes saw while they swayed is put right first."""
-    run = _batch if config.mode == "batch" else _online
-    steady = steadied(drive, config)
-    if steady is None:
-        return run(drive, config)
-    return steady.completed(run(steady.drive, config))
+    """A drive with a vehicle, and with the posts of the nodes that see it."""
+    return _batch(drive, config) if config.mode == "batch" else _online(drive, config)
 
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:
@@ -85,6 +82,8 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
     summary["yaw_observable_s"] = 0.0 if known else None
     events = [*model.plan.events, *run.events]
     summary |= roadside(model, run.states, run.sigmas)
+    if run.posts is not None:
+        summary["posts"] = post_health(drive, run.posts)
     if run.sigmas.late_s is not None:
         found = clocks.shifted(in_force, run.states.late_s)
         summary["clock"] = clocks.summary(found, run.sigmas.late_s)
@@ -92,7 +91,7 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
     verdicts = clocks.stamped_as_read(model.plan.verdicts, drive)
     return Result(
         run.log.trajectory(model), verdicts, summary, summary["method"], causal=False,
-        events=_in_order(tuple(events)), config=_provenance(config),
+        events=_in_order(tuple(events)), config=_provenance(config), posts=run.posts,
     )  # fmt: skip
 
 
@@ -112,6 +111,9 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
     online = Online(model, lag_s)
     online.run()
     summary = _summary(model, online.factors)
+    posts = post_table(model, online.posts.x, online.posts.P)
+    if posts is not None:
+        summary["posts"] = post_health(drive, posts)
     seen = online.yaw_observable_ns
     summary["yaw_observable_s"] = None if seen is None else (seen - int(model.t_ns[0])) / 1e9
     return Result(
@@ -119,6 +121,7 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
         summary["method"], causal=True,
         smoothed=online.last.trajectory(model) if online.last else None,
         events=_in_order((*model.plan.events, *online.events)), config=_provenance(config),
+        posts=posts,
     )  # fmt: skip
 
 

@@ -11,11 +11,13 @@ from fgloc.errors import ConfigError, SolverError
 from fgloc.factors import imu, noise
 from fgloc.measurements import Array
 from fgloc.positions import DETECTIONS, GNSS
+from fgloc.posts import PostStates
 from fgloc.result import Event
 from fgloc.smoother.chain import Chain, position_errors
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, misfit, stretch
 from fgloc.smoother.model import Model
+from fgloc.smoother.post_results import judge_batch, post_table
 from fgloc.smoother.states import Robustness, SharedSigmas, StateLog, States, yaw_sigma_rad
 from fgloc.verdicts import Verdict
 
@@ -48,6 +50,9 @@ class Solver(Protocol):
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
 
+    def post_covariances(self, states: States, robust: Robustness) -> Array:
+        """Of the states of the posts in all slots, (n, q, q)."""
+
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """Of what the drive shares and the graph estimates."""
 
@@ -64,6 +69,7 @@ class BatchRun:
     events: tuple[Event, ...]
     states: States
     sigmas: SharedSigmas
+    posts: PostStates | None
 
 
 def run_batch(model: Model) -> BatchRun:
@@ -102,7 +108,10 @@ def run_batch(model: Model) -> BatchRun:
     factors = solver.factors - int(robust.gated.sum())
     events = _remarks(model, solver, robust, limits, settled=settled)
     sigmas = solver.shared_sigmas(states, robust)
-    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas)
+    posts_cov = solver.post_covariances(states, robust)
+    judge_batch(model, states, posts_cov)
+    posts = post_table(model, states.posts, posts_cov)
+    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, posts)
 
 
 def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robustness, float, int]:

@@ -1,5 +1,6 @@
 """The graph of a drive as a chain: its optimum, and the covariance there, from a banded system."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -45,10 +46,12 @@ class Chain(Terms):
         """
         slow = [self._slow(s).sigma_m for s in self.slow_at for _ in range(3)]
         scale = np.array([1.0] * 9 + [*self.model.bias_sigmas, *slow])
+        swaying = self.model.swaying
+        own = np.append(scale**-2, swaying.damping if swaying.slots else [])
         border = np.ones(self.shared)
         if self.model.car.acts:
             border[self.car_at] = self.model.car.calibration_sigmas**-2
-        return Vector(scale**-2, border)
+        return Vector(own, border)
 
     def first(self, n: int) -> "Chain":
         """The same for the first n keyframes alone."""
@@ -89,13 +92,16 @@ class Chain(Terms):
         few = Chain(model, self._prior, sketch.few_deltas(self.deltas, keys))
         nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
         try:
-            found, cost, iterations = few.optimum(states.take(keys), nothing, rough=True)
+            # A sketch has no posts: nothing that it holds tells of them.
+            start = replace(states.take(keys), posts=np.zeros((few.n, 0)))
+            found, cost, iterations = few.optimum(start, nothing, rough=True)
         except SolverError:  # the whole chain may do better, or say where it fails
             return None
         if not cost <= misfit(few.rows):
             return None
         g = model.gravity_mps2
-        return sketch.all_states(found, keys, self.deltas, self.bias_of, g), cost, iterations
+        drawn = sketch.all_states(found, keys, self.deltas, self.bias_of, g)
+        return replace(drawn, posts=states.posts), cost, iterations
 
     def moved(self, states: States, back: Vector) -> States:
         """The states after a step back along a vector of their tangents; copies stay alike."""
@@ -109,11 +115,12 @@ class Chain(Terms):
             states.p + np.einsum("nij,nj->ni", states.R, step[:, 3:6]),
             states.v + step[:, VELOCITY],
             states.bias + step[first][:, BIAS],
-            states.slow + step[:, 15:],
+            states.slow + step[:, 15 : self.post_first],
             states.late_s - float(back.border[self.late].sum()),
             calibration,
             states.offset - (back.border[self.offset_at] if self._estimates_offset else 0.0),
             self._resurveyed(states.survey, back.border),
+            states.posts + step[:, self.post_first :],
         )
 
     @property
@@ -182,6 +189,11 @@ class Chain(Terms):
             predicted[kinds[s]] = L @ (J @ known @ J.swapaxes(-1, -2)) @ L.swapaxes(-1, -2)
         return cov[:, :6, :6], predicted
 
+    def post_covariances(self, states: States, robust: Robustness) -> Array:
+        """Of the posts' states, those of all slots together (n, q, q)."""
+        own = np.arange(self.post_first, self.width)
+        return self._factor(states, robust).inverse_blocks(own)
+
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """Of what the drive shares and this graph estimates."""
         if not self.shared:
@@ -213,7 +225,7 @@ class Chain(Terms):
         j, i = divmod(unknown, self.width)
         slow = [f"slow error of {self.model.sources[s].name}" for s in self.slow_at]
         name = ["attitude", "position", "velocity", "accelerometer bias", "gyro bias",
-                *slow][i // 3]  # fmt: skip
+                *slow, *["post"] * (2 * self.model.swaying.slots)][i // 3]  # fmt: skip
         t_ns = int(self.model.t_ns[j])
         return SolverError(
             f"the solver failed at the {name} of keyframe {j}, t = {self.model.t_s[j]:.2f} s "

@@ -17,7 +17,7 @@ import numpy as np
 from fgloc.factors.post import axis_spread, axis_step
 from fgloc.infrastructure import Post
 from fgloc.measurements import Array
-from fgloc.sway import Watch
+from fgloc.watches import Watch
 
 SOUGHT = ("frequency_hz", "damping", "load_sigma_n", "load_tau_s")
 PRIOR_SIGMAS = (0.3, 1.0, 1.5, 1.5)

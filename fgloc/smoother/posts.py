@@ -1,7 +1,7 @@
 """Posts that sway, as a graph of their own: a chain of states, the wind as its noise, poses on it.
 
 All factors are linear in vector states (`fgloc.factors.post`), so GTSAM solves a whole drive in one
-step and iSAM2 never relinearises. Where a drive has vehicles as well, see `steady`.
+step and iSAM2 never relinearises. Where a drive has vehicles as well, see `swaying`.
 """
 
 from collections.abc import Callable
@@ -17,8 +17,9 @@ from fgloc.factors.post import pose_factor, pose_jacobian, rest_factor, sway_fac
 from fgloc.measurements import Array
 from fgloc.result import Result
 from fgloc.smoother.post_modes import with_modes
-from fgloc.sway import SOURCE, Watch, post_states, result, watches
+from fgloc.sway import post_states, result
 from fgloc.verdicts import SourceVerdicts
+from fgloc.watches import SOURCE, Watch, watches
 
 Estimate = tuple[Array, Array]
 """States (k, 6) and their covariances (k, 6, 6)."""
@@ -67,7 +68,7 @@ def estimated(watch: Watch, config: SmoothConfig, judged: SourceVerdicts) -> Est
         estimate = solve(watch)
     except RuntimeError as err:
         raise SolverError(f"the post of node {watch.name!r} cannot be solved: {err}") from err
-    _judge(watch, estimate, judged)
+    judge(watch, estimate, judged)
     return estimate
 
 
@@ -114,7 +115,7 @@ def _added(
     return smoother.calculateEstimateVector(_key(k)), smoother.marginalCovariance(_key(k))
 
 
-def _judge(watch: Watch, estimate: Estimate, judged: SourceVerdicts) -> None:
+def judge(watch: Watch, estimate: Estimate, judged: SourceVerdicts) -> None:
     """NIS of every row against what is known without it.
 
     An estimate that holds a measurement gives it back: with the residual r, of covariance

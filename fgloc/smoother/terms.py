@@ -2,7 +2,8 @@
 
 The cost is that of the graph which `graph.py` builds for GTSAM; a test holds the two together. A
 block of unknowns belongs to each keyframe: pose (rotation, then translation, in the vehicle frame),
-velocity, IMU bias, and the slow error of each source of positions that has one. A bias that several
+velocity, IMU bias, the slow error of each source of positions that has one, and the states of the
+posts that sway (`swaying.py`). A bias that several
 keyframes share is kept once for each of them; the curvature sees a walk of next to nothing between
 the copies, the cost none, so that the optimum is exact. What the whole drive shares stands in the
 border: how late stamps are, the car's calibration, the centre of its box, and what each node's
@@ -65,7 +66,8 @@ class Terms:
         self.model, self.deltas, self.n, self._prior = model, deltas, n, prior
         self.bias_of = model.bias_of[:n]
         self.slow_at = {s: 15 + 3 * c + np.arange(3) for c, s in enumerate(model.slow)}
-        self.width = 15 + 3 * len(model.slow)
+        self.post_first = 15 + 3 * len(model.slow)
+        self.width = self.post_first + model.swaying.width
         self.late, self.car_at, self.offset_at, self.survey_at = self._layout(model)
         self.shared = max(self.survey_at.values(), key=_stop, default=self.offset_at).stop
         self.rows = int(np.searchsorted(model.key_of, n))  # of the positions, they come first
@@ -73,6 +75,9 @@ class Terms:
         self._prior_R = yaw_matrix(yaw_of(prior.R_world_veh[:1]))
         self._whiten_imu = self._whitening(deltas.cov, np.arange(n - 1))
         self._whiten_position = self._whitening(model.cov_m2[: self.rows], self.key_of)
+        self.told = int(np.searchsorted(model.reference_key, n))  # of the references
+        cov = model.references.cov_world_m2[: self.told] + gnss.TIE_SIGMA_M**2 * np.eye(2)
+        self._whiten_reference = self._whitening(cov, model.reference_key[: self.told])
 
     @staticmethod
     def _layout(model: Model) -> tuple[slice, slice, slice, dict[int, slice]]:
@@ -110,6 +115,8 @@ class Terms:
         shared = (self.late.stop > 0) + bool(car.acts) + len(self.survey_at)
         shared += self.offset_at.start < self.offset_at.stop
         held += (car.velocities.row[: self.n] >= 0).sum()
+        swaying = self.model.swaying
+        held += swaying.slots * self.n + np.searchsorted(swaying.pose_key, self.n) + self.told
         return int(3 + chains + steps + shared + held) + self.rows
 
     def at(self, states: States, robust: Robustness, first: int, stop: int) -> Iterator[Term]:
@@ -124,6 +131,8 @@ class Terms:
         kept = np.arange(within.start, within.stop)[~robust.gated[within]]
         for s in np.unique(self.source[kept]).tolist():
             yield self._positions(states, s, kept[self.source[kept] == s], robust.loss_width)
+        yield from self._references(states, first, stop)
+        yield from self._posts(states, first, min(stop, self.n))
         if self.model.car.acts or self.model.car.stands.any():
             yield from self._constraints(states, first, stop)
         told = self.model.car.velocities
@@ -231,6 +240,9 @@ class Terms:
                 [*parts, np.broadcast_to(np.eye(3), W.shape)],
                 np.append(at, self.slow_at[s]),
             )
+        if s in self.model.swaying.of_source:
+            by_state, own = self._by_post(states, s, self.model.positions.row[rows], keys)
+            parts, at = [*parts, by_state], np.append(at, own)
         if source.point_sigma_m:
             border.append((self.offset_at, R))
         if s in self.survey_at:
@@ -241,6 +253,59 @@ class Terms:
         J = W @ np.concatenate(parts, -1)
         width = width if source.table == GNSS else source.settings.loss_width
         return Term(keys, at, _whitened(W, error), J, source.settings.loss, width)
+
+    def _by_post(
+        self, states: States, s: int, row: NDArray[np.int64], keys: NDArray[np.int64]
+    ) -> tuple[Array, NDArray[np.int64]]:
+        """Jacobians (m, 3, 6) of detections of source s by its post, and the unknowns they are by.
+
+        What lies further along where the node says is less far along than the car.
+        """
+        swaying = self.model.swaying
+        k = swaying.of_source[s]
+        _, J = swaying.moved(s, row, swaying.states(states.posts, keys, k))
+        own = self.post_first + swaying.at(int(swaying.slot[k]))
+        return -np.pad(J, ((0, 0), (0, 1), (0, 0))), own
+
+    def _references(self, states: States, first: int, stop: int) -> Iterator[Term]:
+        """What nodes see of users whose places are known, at keyframes first..stop - 1."""
+        model, found = self.model, self.model.references
+        within = slice(*np.searchsorted(model.reference_key[: self.told], [first, stop]))
+        kind = np.stack([found.source[within], model.reference_layer[within]], -1)
+        for s, layer in np.unique(kind, axis=0).tolist():
+            rows = within.start + np.flatnonzero((kind == [s, layer]).all(-1))
+            keys, W = model.reference_key[rows], self._whiten_reference[rows]
+            parts, at = [], POSE[:0]
+            if s in model.swaying.of_source:
+                by_post, at = self._by_post(states, s, found.row[rows], keys)
+                parts = [by_post[:, :2]]
+            if s in self.survey_at:
+                z = np.pad(found.z_world_m[rows], ((0, 0), (0, 1)))
+                by = detection.by_survey(z, model.sources[s].p_world_m)[:, :2]
+                parts.append(self._border(len(rows), self.survey_at[s], -by))
+            error, settings = reference_errors(model, states, rows, s), model.sources[s].settings
+            J = W @ np.concatenate(parts, -1)
+            width = settings.loss_width
+            yield Term(keys, at, _whitened(W, error), J, settings.loss, width)
+
+    def _posts(self, states: States, first: int, stop: int) -> Iterator[Term]:
+        """How the posts go on, and what is told of them alone, at keyframes first..stop - 1."""
+        swaying, before = self.model.swaying, max(first, 1)
+        for c in range(swaying.slots):
+            own = self.post_first + swaying.at(c)
+            x = states.posts[:, swaying.at(c)]
+            after, earlier = (block[:, c] for block in swaying.steps)
+            if first == 0:
+                yield Term(np.array([0]), own, _whitened(after[:1], x[:1]), after[:1])
+            if before < stop:
+                rows, back = slice(before, stop), slice(before - 1, stop - 1)
+                error = _whitened(after[rows], x[rows]) + _whitened(earlier[rows], x[back])
+                J = np.concatenate([earlier[rows], after[rows]], -1)
+                at = np.append(own, self.width + own)
+                yield Term(np.arange(before - 1, stop - 1), at, error, J)
+        for c, keys, z, J in swaying.poses(first, stop):
+            x = states.posts[keys][:, swaying.at(c)]
+            yield Term(keys, self.post_first + swaying.at(c), _whitened(J, x) - z, J)
 
     def _constraints(self, states: States, first: int, stop: int) -> Iterator[Term]:
         """What the vehicle's constraints say at keyframes first..stop - 1."""
@@ -308,7 +373,30 @@ def position_residual(
         lever = lever + states.offset
     if model.sources[s].surveyed:
         z = z + by_survey(model, rows, s) @ states.survey[s]
+    if s in model.swaying.of_source:
+        z[:, :2] += _moved(model, states, s, model.positions.row[rows], keys)
     return gnss.residual(states.p[keys], states.R[keys], z, lever, bias)
+
+
+def reference_errors(model: Model, states: States, rows: NDArray[np.int64], s: int) -> Array:
+    """Where users are less where node s sees them, (m, 2) East and North in m."""
+    found = model.references
+    z = found.z_world_m[rows]
+    if model.sources[s].surveyed:
+        by = detection.by_survey(np.pad(z, ((0, 0), (0, 1))), model.sources[s].p_world_m)[:, :2]
+        z = z + by @ states.survey[s]
+    if s in model.swaying.of_source:
+        z = z + _moved(model, states, s, found.row[rows], model.reference_key[rows])
+    return found.told_m[rows] - z
+
+
+def _moved(
+    model: Model, states: States, s: int, row: NDArray[np.int64], keys: NDArray[np.int64]
+) -> Array:
+    """How far sway moves detections (m, 2) of source s at some keyframes."""
+    swaying = model.swaying
+    own = swaying.states(states.posts, keys, swaying.of_source[s])
+    return swaying.moved(s, row, own)[0]
 
 
 def by_survey(model: Model, rows: NDArray[np.int64], s: int) -> Array:

@@ -49,6 +49,8 @@ def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2
             ("w", 3),
             ("z", 3),
             ("s", 3),
+            ("p", 6),
+            ("u", 2),
         ):
             sizes.insert((letter, np.full(size, OTHER_THRESHOLD)))
         params.setRelinearizeThreshold(sizes)

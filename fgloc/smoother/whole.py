@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, L, S, V, X
+from gtsam.symbol_shorthand import B, C, L, S, U, V, X
 
 from fgloc.measurements import Array
 from fgloc.smoother.graph import Factors, GraphModel, State
@@ -14,6 +14,10 @@ from fgloc.smoother.solve import covariances, optimize, window_values
 from fgloc.smoother.states import Robustness, SharedSigmas, States
 from fgloc.smoother.terms import by_survey
 from fgloc.smoother.tree import as_graph
+
+ROUNDS, STILL = 5, 1e-6
+"""Detections of nodes that sway are made linear anew until the posts' states, in their units, change
+by less."""
 
 
 class Whole:
@@ -27,11 +31,12 @@ class Whole:
         self.groups = list(groups) or _groups(model, prior)
         self.n = len(self.groups)
         self.rows = int(np.searchsorted(model.key_of, self.n))
+        self.told = int(np.searchsorted(model.reference_key, self.n))
 
     @property
     def factors(self) -> int:
         """How many factors there are, with a measurement for every position."""
-        return sum(map(len, self.groups)) + self.rows
+        return sum(map(len, self.groups)) + self.rows + self.told
 
     def first(self, n: int) -> "Whole":
         """The same for the first n keyframes alone."""
@@ -44,14 +49,20 @@ class Whole:
 
         Raises SolverError that names the state, its time and what is missing.
         """
-        graph = self._graph(robust)
-        values, iterations = optimize(graph, self._values(states, robust), self.model)
+        total = 0
+        for _ in range(ROUNDS):
+            values, graph = self._values(states, robust), self._graph(robust)
+            solved, iterations = optimize(graph, values, self.model)
+            before, states = states, self._states(solved, robust, states)
+            total += iterations
+            if np.abs(states.posts - before.posts).max(initial=0.0) < STILL:
+                break
         self.converged = iterations < self.model.config.solver.max_iterations
-        return self._states(values, robust, states), float(graph.error(values)), iterations
+        return states, float(graph.error(solved)), total
 
     def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
         """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
-        joint = covariances(self._graph(robust), self._values(states, robust), self.model)
+        joint = self._joint(states, robust)
         cov = np.stack([joint([X(j)]) for j in range(self.n)])
         predicted = np.empty((self.rows, 3, 3))
         for i in range(self.rows):
@@ -75,11 +86,29 @@ class Whole:
         if source.surveyed:
             J = by_survey(model, np.array([i]), s)[0]
             keys, parts = [*keys, S(s)], [*parts, -J]
+        if s in model.swaying.of_source:
+            row = model.swaying.row(s, int(model.positions.row[i]), j)
+            keys, parts = [*keys, row.key], [*parts, np.pad(row.J, ((0, 1), (0, 0)))]
         H = np.hstack(parts)
         # GTSAM orders a joint covariance as it is asked to.
         P = H @ (joint(keys) if len(keys) > 1 else cov[j]) @ H.T
         alone = 0.0 if source.bias is None or in_graph else source.bias.sigma_m**2
         return P + alone * np.eye(3)
+
+    def _joint(self, states: States, robust: Robustness) -> Callable[[list[int]], Array]:
+        values = self._values(states, robust)  # which sets what detections are linear about
+        return covariances(self._graph(robust), values, self.model)
+
+    def post_covariances(self, states: States, robust: Robustness) -> Array:
+        """Of the states of the posts (n, q, q); those of different slots count as independent."""
+        swaying = self.model.swaying
+        cov = np.zeros((self.n, swaying.width, swaying.width))
+        joint = self._joint(states, robust) if swaying.slots else None
+        for j in range(self.n if joint else 0):
+            for c, key in enumerate(swaying.keys_at(j)):
+                own = swaying.at(c)
+                cov[j, own[:, None], own] = joint([key])
+        return cov
 
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """None: they are read from the chain only."""
@@ -95,6 +124,9 @@ class Whole:
             for factor in factors:
                 graph.add(factor)
             before[s] = i
+        for i in range(self.told):
+            for factor in self.model.reference_factors(i):
+                graph.add(factor)
         return graph
 
     def _kept(self, robust: Robustness) -> list[int]:
@@ -105,6 +137,7 @@ class Whole:
     def _values(self, states: States, robust: Robustness) -> gtsam.Values:
         model = self.model
         model.car.found = states.calibration
+        model.swaying.about[: self.n] = states.posts[: self.n]
         poses = (gtsam.Pose3(gtsam.Rot3(R), p) for R, p in zip(states.R, states.p, strict=True))
         plain = [
             State(pose, v, gtsam.imuBias.ConstantBias(b[:3], b[3:]))
@@ -116,6 +149,10 @@ class Whole:
             if s in model.slow:
                 slow = states.slow[int(model.key_of[i]), 3 * model.slow.index(s) :][:3]
             model.insert_position(values, i, slow)
+        for j in range(self.n):
+            model.swaying.insert(values, j, states.posts[j])
+        for i in range(self.told):
+            values.insert(U(i), model.references.told_m[i])
         return values
 
     def _states(self, values: gtsam.Values, robust: Robustness, before: States) -> States:
@@ -138,6 +175,7 @@ class Whole:
             np.stack([pose.translation() for pose in poses]),
             np.stack([values.atVector(V(j)) for j in range(self.n)]), np.stack(biases), slow,
             calibration=model.car.calibration(values), offset=offset, survey=survey,
+            posts=model.swaying.read(values, self.n),
         )  # fmt: skip
 
 
@@ -148,5 +186,5 @@ def _groups(model: GraphModel, prior: Guess) -> list[Factors]:
     groups = [model.prior_factors(0, state, YAW_SIGMA_RAD)]
     groups += [model.motion_factors(j, model.interval(j).pim) for j in range(1, len(model))]
     for j, group in enumerate(groups):
-        group += model.car.factors(j)
+        group += model.car.factors(j) + model.swaying.factors(j)
     return groups
