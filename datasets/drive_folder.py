@@ -23,8 +23,8 @@ from fgloc.datasets.drive_tables import (
     smart_codes_from_columns,
     steering_from_columns,
     table_to_columns,
-    velocity_from_columns,
     users_from_columns,
+    velocity_from_columns,
     wheel_from_columns,
 )
 from fgloc.datasets.drive_toml import (

@@ -322,7 +322,7 @@ def _seen_covariance(path: Path, columns: Columns) -> Array:
         return np.full((n, 2, 2), np.nan)
     told = stack(columns, SEEN_COVARIANCE)
     cov = symmetric(told, 2)
-    stated = ~np.isnan(told).all(-1)
+    stated = np.asarray(~np.isnan(told).all(-1))
     _check_definite(path, cov, stated, "give what the node states, or leave all of it empty")
     return cov
 

@@ -132,7 +132,12 @@ def position_sources(drive: Drive, config: SmoothConfig) -> tuple[PositionSource
     )
     nodes = drive.infrastructure.nodes if DETECTIONS in drive.tables else ()
     return gnss, *(
-        _node_source(drive, node, d, sways=config.posts.compensate and drive.infrastructure.post_of(i) is not None)
+        _node_source(
+            drive,
+            node,
+            d,
+            sways=config.posts.compensate and drive.infrastructure.post_of(i) is not None,
+        )
         for i, node in enumerate(nodes)
     )
 

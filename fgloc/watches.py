@@ -121,7 +121,7 @@ def _posts(drive: Drive, node: NDArray[np.int64]) -> list[tuple[int, Post]]:
 
 
 def _finite(poses: NodePoses) -> NDArray[np.bool_]:
-    return np.isfinite(poses.p_node_m).all(-1) & (poses.sigma_p_m > 0).all(-1)
+    return np.asarray(np.isfinite(poses.p_node_m).all(-1) & (poses.sigma_p_m > 0).all(-1))
 
 
 def _watch(

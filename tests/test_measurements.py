@@ -15,8 +15,8 @@ from fgloc.measurements import (
     Ranges,
     RelativeSightings,
     SmartCodeSightings,
-    UserFixes,
     SteeringAngles,
+    UserFixes,
     WheelSpeeds,
     freeze,
 )

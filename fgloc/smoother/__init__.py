@@ -16,7 +16,8 @@ from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
 from fgloc.smoother.post_results import post_table
 from fgloc.smoother.posts import smooth_posts
-from fgloc.smoother.roadside import roadside
+from fgloc.smoother.roadside import causal_states, roadside
+from fgloc.smoother.states import SharedSigmas
 from fgloc.sync import plan
 from fgloc.verdicts import counts
 
@@ -111,6 +112,12 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
     online = Online(model, lag_s)
     online.run()
     summary = _summary(model, online.factors)
+    survey = online.survey()
+    states = causal_states(
+        model, online.log, online.posts.x, {s: x for s, (x, _) in survey.items()}
+    )
+    sigmas = SharedSigmas(survey={s: sigma for s, (_, sigma) in survey.items()})
+    summary |= roadside(model, states, sigmas)
     posts = post_table(model, online.posts.x, online.posts.P)
     if posts is not None:
         summary["posts"] = post_health(drive, posts)

@@ -126,7 +126,7 @@ def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robus
     )
     width, fixes = np.inf, ~nothing
     if model.config.gnss.loss != "none" and fixes.any():
-        error = position_errors(model, states, n)[fixes]
+        error = position_errors(model, states, np.arange(n))[fixes]
         norm = np.sqrt(noise.nis(error, model.cov_m2[:n][fixes]))
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
@@ -218,7 +218,7 @@ def _leave_one_out(
     the residual, the prediction without it has the error R_w (R_w - P)^-1 r and the covariance
     R_w (R_w - P)^-1 R_w - R_w. NIS is 0 where the position is all that holds the state.
     """
-    R, error = model.cov_m2, position_errors(model, states, len(P))
+    R, error = model.cov_m2, position_errors(model, states, np.arange(len(P)))
     weight = _weights(model, np.sqrt(noise.nis(error, R)), robust.loss_width)
     R_w = R / weight[:, None, None]
     kept = ~robust.gated

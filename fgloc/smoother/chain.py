@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.errors import SolverError
 from fgloc.factors import noise
@@ -76,7 +77,7 @@ class Chain(Terms):
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
         if not np.isfinite(cost):
-            far = np.abs(position_errors(self.model, states, self.rows)).max(-1)
+            far = np.abs(position_errors(self.model, states, np.arange(self.rows))).max(-1)
             raise self._failure(int(self.key_of[np.nanargmax(far)]) * self.width)
         self.converged = descent.converged
         if descent.factor is not None:
@@ -234,14 +235,14 @@ class Chain(Terms):
         )
 
 
-def position_errors(model: Model, states: States, n: int) -> Array:
-    """Predicted minus measured positions (n, 3) of the first n rows, ENU m, lateness and all."""
-    error, source = np.empty((n, 3)), model.positions.source[:n]
+def position_errors(model: Model, states: States, rows: NDArray[np.int64]) -> Array:
+    """Predicted minus measured positions (m, 3) of some rows, ENU m, lateness and all."""
+    error, source = np.empty((len(rows), 3)), model.positions.source[rows]
     for s in np.unique(source).tolist():
-        rows = np.flatnonzero(source == s)
-        told = position_residual(model, states, rows, s)
+        own = np.flatnonzero(source == s)
+        told = position_residual(model, states, rows[own], s)
         late = late_source(model, s) and states.late_s != 0
-        error[rows] = late_residual(model, states, rows, s, told).error if late else told.error
+        error[own] = late_residual(model, states, rows[own], s, told).error if late else told.error
     return error
 
 

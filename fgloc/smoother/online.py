@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, V, X
+from gtsam.symbol_shorthand import B, S, V, X
 
 from fgloc.factors import imu
 from fgloc.measurements import Array
@@ -84,6 +84,16 @@ class Online:
     def factors(self) -> int:
         """Factors in the tree at the end."""
         return int(self._tree.isam.getFactorsUnsafe().nrFactors())
+
+    def survey(self) -> dict[int, tuple[Array, Array]]:
+        """What each node's survey is off at the end, by its source, with sigmas: m, m and rad."""
+        sources = self.model.sources
+        keys = {s: S(s) for s, source in enumerate(sources) if source.surveyed}
+        return {
+            s: (self._tree.vector(key), np.sqrt(np.diag(self._tree.covariance([key]))))
+            for s, key in keys.items()
+            if self._tree.holds(key)
+        }
 
     def _step(self, j: int, rows: list[int]) -> None:
         """Carry the state to keyframe j, take in what has arrived, write the epochs."""

@@ -172,11 +172,12 @@ def occurrence(values: Index) -> Index:
 
 def _slots(spans: Index) -> Index:
     """(w,) a slot for each span (w, 2) of keyframes, such that those of one slot do not touch."""
-    slot, free_from = np.zeros(len(spans), int), []
+    slot = np.zeros(len(spans), int)
+    free_from: list[int] = []
     for k in np.argsort(spans[:, 0], kind="stable").tolist():
         first, last = spans[k]
         c = next((c for c, free in enumerate(free_from) if free < first), len(free_from))
-        free_from[c:] = [last, *free_from[c + 1 :]]
+        free_from[c:] = [int(last), *free_from[c + 1 :]]
         slot[k] = c
     return slot
 

@@ -16,8 +16,8 @@ from fgloc.smoother.terms import by_survey
 from fgloc.smoother.tree import as_graph
 
 ROUNDS, STILL = 5, 1e-6
-"""Detections of nodes that sway are made linear anew until the posts' states, in their units, change
-by less."""
+"""Detections of nodes that sway are made linear anew until the posts' states change by less, in
+their units."""
 
 
 class Whole:
@@ -103,8 +103,10 @@ class Whole:
         """Of the states of the posts (n, q, q); those of different slots count as independent."""
         swaying = self.model.swaying
         cov = np.zeros((self.n, swaying.width, swaying.width))
-        joint = self._joint(states, robust) if swaying.slots else None
-        for j in range(self.n if joint else 0):
+        if not swaying.slots:
+            return cov
+        joint = self._joint(states, robust)
+        for j in range(self.n):
             for c, key in enumerate(swaying.keys_at(j)):
                 own = swaying.at(c)
                 cov[j, own[:, None], own] = joint([key])
