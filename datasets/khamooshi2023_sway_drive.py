@@ -4,8 +4,8 @@ Not a scenario of the thesis, which stops at the pose of the node; it shows what
 The oval passes the node at 5 m and leads 65 m away from it, to either side. The car has GNSS of a
 stated sigma at 10 Hz and an IMU; the node sees the centre of its box ten times a second, as a
 camera (on the ground, through the pose that is believed) or as a LiDAR (rigidly), and a pose
-estimator watches the post as in `khamooshi2023/sway-low`, under gusts. Other cars with RTK may round
-the oval as well and say where they are; the node sees them and gives them numbers of its own.
+estimator watches the post as in `khamooshi2023/sway-low`, under gusts. Other cars with RTK may
+round the oval as well and say where they are; the node sees them and numbers them as it likes.
 """
 
 from typing import TypeVar

@@ -118,8 +118,11 @@ def bias_transition_factor(
 
 
 def _linear(row: gtsam.JacobianFactor, sizes: dict[int, int]) -> gtsam.LinearContainerFactor:
-    """A x = b on vectors of some sizes by their keys. Without a point of linearisation, here zero, GTSAM takes the
-    row as one on the *change* of the variables and reports no error."""
+    """A x = b on vectors of some sizes, by their keys.
+
+    Without a point of linearisation, here zero, GTSAM takes the row as one on the *change* of the
+    variables and reports no error.
+    """
     import gtsam
 
     zero = gtsam.Values()

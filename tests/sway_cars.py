@@ -1,4 +1,4 @@
-"""A car placed by a swaying node through `fgloc.smooth`: sway ignored, taken back, followed, absent.
+"""A car placed by a swaying node through `fgloc.smooth`: sway ignored, taken back, followed, none.
 
 The scenario is `khamooshi2023/sway-drive`; all ways have the same fixes, detections and settings.
 """
@@ -53,7 +53,7 @@ def taken_back(drive: Drive) -> Drive:
 
 
 def rmse_m(drive: Drive, *settings: str) -> Array:
-    """Of the middle of its box, in plan: everywhere, then within 5 m of each range from the node."""
+    """Of the middle of its box in plan: everywhere, then within 5 m of each range from the node."""
     found, truth = fgloc.smooth(drive, settings=settings).trajectory, drive.truth
     seen_ns = np.intersect1d(found.t_ns, drive.tables["gnss"].t_ns)
     box_m, true_m = (

@@ -112,12 +112,9 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
     online = Online(model, lag_s)
     online.run()
     summary = _summary(model, online.factors)
-    survey = online.survey()
-    states = causal_states(
-        model, online.log, online.posts.x, {s: x for s, (x, _) in survey.items()}
-    )
-    sigmas = SharedSigmas(survey={s: sigma for s, (_, sigma) in survey.items()})
-    summary |= roadside(model, states, sigmas)
+    survey, sigmas = online.survey()
+    states = causal_states(model, online.log, online.posts.x, survey)
+    summary |= roadside(model, states, SharedSigmas(survey=sigmas))
     posts = post_table(model, online.posts.x, online.posts.P)
     if posts is not None:
         summary["posts"] = post_health(drive, posts)

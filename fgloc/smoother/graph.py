@@ -4,7 +4,7 @@ Batch, incremental and fixed lag all build their graphs here. Keyframe j has a p
 velocity V(j) as `model.py` says. Biases B(m) are shared. A position, row i of the positions, whose
 source has errors to be estimated adds the measured point A(i), and C(i) where one of them is slow;
 L(0) and L(1) are the lever arms to antenna and box, and S(s) is what the survey of source s is off.
-What the vehicle's constraints add is in `native_car.py`, what swaying posts do in `native_posts.py`.
+What the vehicle's constraints add is in `native_car.py`, what posts that sway, `native_posts.py`.
 """
 
 from dataclasses import dataclass

@@ -85,15 +85,13 @@ class Online:
         """Factors in the tree at the end."""
         return int(self._tree.isam.getFactorsUnsafe().nrFactors())
 
-    def survey(self) -> dict[int, tuple[Array, Array]]:
-        """What each node's survey is off at the end, by its source, with sigmas: m, m and rad."""
-        sources = self.model.sources
-        keys = {s: S(s) for s, source in enumerate(sources) if source.surveyed}
-        return {
-            s: (self._tree.vector(key), np.sqrt(np.diag(self._tree.covariance([key]))))
-            for s, key in keys.items()
-            if self._tree.holds(key)
-        }
+    def survey(self) -> tuple[dict[int, Array], dict[int, Array]]:
+        """What each node's survey is off at the end (3,) and the sigmas (3,), m, m and rad, by the
+        number of its source."""
+        tree, sources = self._tree, self.model.sources
+        own = [s for s, source in enumerate(sources) if source.surveyed and tree.holds(S(s))]
+        sigmas = {s: np.sqrt(np.diag(tree.covariance([S(s)]))) for s in own}
+        return {s: tree.vector(S(s)) for s in own}, sigmas
 
     def _step(self, j: int, rows: list[int]) -> None:
         """Carry the state to keyframe j, take in what has arrived, write the epochs."""

@@ -149,10 +149,8 @@ class Bench:
         if self._start is None:
             run, at = run_batch(chain.model), chain.model.epoch_of
             log, zero = run.log, np.zeros((len(at), 3))
-            bias, slow = (
-                np.hstack([zero, log.gyro_bias[at]]),
-                np.zeros((len(at), chain.post_first - 15)),
-            )
+            bias = np.hstack([zero, log.gyro_bias[at]])
+            slow = np.zeros((len(at), chain.post_first - 15))
             pose = log.R[at], log.p[at], log.v[at]
             posts = run.states.posts
             self._start = States(*pose, bias, slow, run.states.late_s, posts=posts)
