@@ -14,8 +14,9 @@ from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
+from fgloc.smoother.post_evidence import likelier
 from fgloc.smoother.post_results import post_table
-from fgloc.smoother.posts import smooth_posts
+from fgloc.smoother.posts import refuse_search, smooth_posts
 from fgloc.smoother.roadside import causal_states, roadside
 from fgloc.smoother.states import SharedSigmas
 from fgloc.sync import plan
@@ -78,7 +79,12 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
         model = _model(Model, drive, in_force)
         model.shifted_s = shifted_s
         run = run_batch(model)
+    sought: dict[str, Any] = {}
+    if config.posts.estimate_mode and model.plan.posts:
+        model, sought["posts_sought"] = likelier(model, run.solver, run.states, run.robust)
+        run = run_batch(model)
     summary = _summary(model, run.factors) | {"iterations": run.iterations, "cost": run.cost}
+    summary |= sought
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
     summary["yaw_observable_s"] = 0.0 if known else None
     events = [*model.plan.events, *run.events]
@@ -107,6 +113,7 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
     from fgloc.smoother.online import Online
 
     clocks.refuse_estimate(config)
+    refuse_search(config)
     model = _model(GraphModel, drive, config)
     lag_s = config.lag_s if config.mode == "fixed-lag" else None
     online = Online(model, lag_s)

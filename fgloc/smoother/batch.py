@@ -70,6 +70,8 @@ class BatchRun:
     states: States
     sigmas: SharedSigmas
     posts: PostStates | None
+    solver: Solver
+    robust: Robustness
 
 
 def run_batch(model: Model) -> BatchRun:
@@ -111,7 +113,9 @@ def run_batch(model: Model) -> BatchRun:
     posts_cov = solver.post_covariances(states, robust)
     judge_batch(model, states, posts_cov)
     posts = post_table(model, states.posts, posts_cov)
-    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, posts)
+    return BatchRun(
+        log, factors, iterations, cost, sigma, events, states, sigmas, posts, solver, robust
+    )
 
 
 def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robustness, float, int]:

@@ -32,11 +32,7 @@ def smooth_posts(drive: Drive, config: SmoothConfig, method: str) -> Result:
     Raises DriveError where the drive has no poses of a post, InputError where a causal mode is to
     estimate frequencies, SolverError where GTSAM gives up.
     """
-    if config.posts.estimate_mode and config.mode != "batch":
-        raise InputError(
-            f"posts.estimate_mode looks at the whole drive and goes with mode batch, not with "
-            f"{config.mode}; leave it out"
-        )
+    refuse_search(config)
     found, verdicts = watches(drive, method)
     extra = {}
     if config.posts.estimate_mode:
@@ -48,6 +44,15 @@ def smooth_posts(drive: Drive, config: SmoothConfig, method: str) -> Result:
         drive, method, tables, verdicts, causal=config.mode != "batch", mode=config.mode,
         factors=factors, extra=extra, config=config.model_dump(exclude_none=True),
     )  # fmt: skip
+
+
+def refuse_search(config: SmoothConfig) -> None:
+    """Raise InputError where a causal mode is to seek the numbers of posts."""
+    if config.posts.estimate_mode and config.mode != "batch":
+        raise InputError(
+            f"posts.estimate_mode looks at the whole drive and goes with mode batch, not with "
+            f"{config.mode}; leave it out"
+        )
 
 
 def factors_of(watch: Watch, k: int) -> list[gtsam.NonlinearFactor]:
