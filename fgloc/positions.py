@@ -28,6 +28,8 @@ REACH_M, REACH_MPS = 50.0, 40.0
 """A candidate farther from the last fix than this, and this for each second since, is not the
 car: no state is spent on it."""
 DEFAULT_TAU_S = 60.0
+EXACT = 1e-6
+"""Sigma, m or rad, of the part of a survey that counts as exact where the other is uncertain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,6 +254,8 @@ def _node_source(
     drive: Drive, node: Node, config: DetectionConfig, *, sways: bool
 ) -> PositionSource:
     survey = np.array([node.sigma_position_m, node.sigma_position_m, node.sigma_yaw_rad])
+    if survey.any():
+        survey = np.maximum(survey, EXACT)
     return PositionSource(
         node.name, DETECTIONS, drive.rig.p_veh_box_m, node.p_world_m, 2, config,
         _slow(config, GnssBias(node.bias_sigma_m, node.bias_tau_s)), survey, config.offset_sigma_m,

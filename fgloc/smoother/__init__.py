@@ -12,9 +12,10 @@ from fgloc.post_health import post_health
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
+from fgloc.smoother.chain import Chain
 from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
-from fgloc.smoother.post_evidence import likelier
+from fgloc.smoother.post_evidence import likelier, refuse_gtsam
 from fgloc.smoother.post_results import post_table
 from fgloc.smoother.posts import refuse_search, smooth_posts
 from fgloc.smoother.roadside import causal_states, roadside
@@ -66,6 +67,7 @@ def _vehicle(drive: Drive, config: SmoothConfig) -> Result:
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:
     clocks.refuse_wheels(config)
+    refuse_gtsam(config)
     model = _model(Model, drive, config)
     run = run_batch(model)
     in_force = config
@@ -80,7 +82,7 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
         model.shifted_s = shifted_s
         run = run_batch(model)
     sought: dict[str, Any] = {}
-    if config.posts.estimate_mode and model.plan.posts:
+    if config.posts.estimate_mode and model.plan.posts and isinstance(run.solver, Chain):
         model, sought["posts_sought"] = likelier(model, run.solver, run.states, run.robust)
         run = run_batch(model)
     summary = _summary(model, run.factors) | {"iterations": run.iterations, "cost": run.cost}

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from fgloc.config import SmoothConfig
 from fgloc.errors import ConfigError
 from fgloc.infrastructure import Post
 from fgloc.smoother.chain import Chain
@@ -29,15 +30,16 @@ TOLERANCE = 1e-7
 """Of the search: the share of the log density below which a step is the last."""
 
 
-def likelier(
-    model: Model, solver: object, states: States, robust: Robustness
-) -> tuple[Model, dict[str, Any]]:
-    """The model with each post in turn as it is likeliest, and what was found, by node's name.
-
-    Raises ConfigError where GTSAM solves the batch.
-    """
-    if not isinstance(solver, Chain):
+def refuse_gtsam(config: SmoothConfig) -> None:
+    """Raise ConfigError where posts are to be sought in a batch that GTSAM solves."""
+    if config.posts.estimate_mode and config.solver.batch != "banded":
         raise ConfigError("posts.estimate_mode goes with solver.batch = banded, not with gtsam")
+
+
+def likelier(
+    model: Model, solver: Chain, states: States, robust: Robustness
+) -> tuple[Model, dict[str, Any]]:
+    """The model with each post in turn as it is likeliest, and what was found, by node's name."""
     watches, summary = list(model.plan.posts), {}
     for k, watch in enumerate(watches):
 

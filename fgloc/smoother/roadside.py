@@ -68,14 +68,17 @@ def _node(model: Model, s: int, states: States, sigmas: SharedSigmas) -> dict[st
 def _residual(model: Model, s: int, states: States, rows: NDArray[np.int64]) -> dict[str, float]:
     """Shift and turn of a node about itself that fit best what its used detections, and those of
     users whose places are known, still differ by from the solution."""
-    found = model.references
+    found, node = model.references, model.sources[s].p_world_m
     known = np.flatnonzero(found.source == s)
     error = [position_errors(model, states, rows)[:, :2], reference_errors(model, states, known, s)]
+    cov = np.concatenate([model.cov_world_m2[rows, :2, :2], found.cov_world_m2[known]])
     z = np.concatenate([model.positions.z_world_m[rows, :2], found.z_world_m[known]])
     if len(z) < LEAST_ROWS:
         return {}
-    J = by_survey(np.pad(z, ((0, 0), (0, 1))), model.sources[s].p_world_m)[:, :2]
-    fit = np.linalg.lstsq(J.reshape(-1, 3), np.concatenate(error).ravel(), rcond=None)[0]
+    W = np.linalg.inv(np.linalg.cholesky(cov))
+    J = W @ by_survey(np.pad(z, ((0, 0), (0, 1))), node)[:, :2]
+    e = np.einsum("nij,nj->ni", W, np.concatenate(error))
+    fit = np.linalg.lstsq(J.reshape(-1, 3), e.ravel(), rcond=None)[0]
     names = ("residual_east_m", "residual_north_m", "residual_yaw_rad")
     return dict(zip(names, fit.tolist(), strict=True))
 
