@@ -38,6 +38,9 @@ ACCELERATION_MPS2 = 2.0
 """Of a user between two fixes: a straight line is off by an eighth of it times the time squared."""
 
 
+_OF_NODES = "tells of nodes alone, which this method takes as they were surveyed"
+
+
 @dataclass(frozen=True, eq=False)
 class References:
     """n detections of users whose places are known, in order of time.
@@ -99,11 +102,15 @@ def find_references(
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in References.__dataclass_fields__
     }
-    return References(**columns).take(np.argsort(columns["t_ns"], kind="stable"))
+    found = References(**columns).take(np.argsort(columns["t_ns"], kind="stable"))
+    verdicts[DETECTIONS].set(found.row, Verdict.OTHER, "a road user who says where it is")
+    return found
 
 
 def judge_references(found: References, verdicts: dict[str, SourceVerdicts]) -> None:
-    """Say of the detections what they are used for."""
+    """Say of the detections what they are used for, and of what users tell that it is."""
+    if USERS in verdicts:
+        verdicts[USERS].set(verdicts[USERS].reason == _OF_NODES, Verdict.USED)
     for user in np.unique(found.user).tolist():
         reason = f"user {user}, who says where it is: tells of the node"
         verdicts[DETECTIONS].set(found.row[found.user == user], Verdict.USED, reason)
@@ -175,7 +182,7 @@ def _placed(
     span_s = (users.t_ns[b] - users.t_ns[a]) / NS_PER_S
     share = (t_ns - users.t_ns[a]) / NS_PER_S / span_s
     inside = (share >= 0) & (share <= 1) & (span_s <= APART_S)
-    judged.set(np.union1d(a[inside], b[inside]), Verdict.USED)
+    judged.set(np.union1d(a[inside], b[inside]), Verdict.UNUSED, _OF_NODES)
     w = share[:, None]
     p = (1 - w) * users.p_world_m[a] + w * users.p_world_m[b]
     bend_m = ACCELERATION_MPS2 / 2 * share * (1 - share) * span_s**2

@@ -40,7 +40,7 @@ def test_a_row_tells_latency_drops_survey_and_sway(drive, result):
     assert row["rate_hz"] == pytest.approx(10.0)
     assert row["drop_rate"] == pytest.approx(0.1, abs=0.01)  # looking away is no drop
     assert abs(row["survey_east_m"] + 0.3) < 4 * row["sigma_survey_east_m"] < 0.4
-    assert abs(row["residual_east_m"]) < 0.05
+    assert abs(row["residual_east_m"]) < 0.15  # of causal states, which knew the survey less well
     true_m = np.linalg.norm(drive.post_truth.p_node_m, axis=-1)
     assert row["sway_rms_m"] == pytest.approx(np.sqrt(np.mean(true_m**2)), rel=0.2)
     assert row["frequency_hz"] == pytest.approx(1.965, abs=1e-3)
