@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fgloc.drive import Drive
 from fgloc.factors.post import pose_jacobian, post_spread, whitened_steps
-from fgloc.factors.sway import compensated, linear_row
+from fgloc.factors.sway import linear_row
 from fgloc.infrastructure import Node, Post
 from fgloc.measurements import Array, NodeDetections
 from fgloc.timing import Instants, elapsed_s
@@ -111,12 +111,6 @@ class Swaying:
         J, z = linear_row(reported_m, post, node, post.height_m, node.sensor, about)
         carried = z - np.einsum("nij,nj->ni", J, states)
         return carried - node.to_world(reported_m), -J
-
-    def taken_back(self, s: int, row: Index, states: Array) -> Array:
-        """Where objects (m, 2) are along the node's axes that it reports with a known sway."""
-        post, reported_m = self.watches[self.of_source[s]].post, self._reported_m[row]
-        sway = _tamed(states, post, reported_m) @ pose_jacobian(post.tip_slope_per_m).T
-        return compensated(reported_m, sway, post.height_m, self._node(s).sensor)
 
     def poses(self, first: int, stop: int) -> Iterator[tuple[int, Index, Array, Array]]:
         """What is told of the states at keyframes first..stop - 1: slot, keyframes (m,) each once,

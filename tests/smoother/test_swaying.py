@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import U
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,6 +20,7 @@ from fgloc.measurements import NodeDetections, NodePoses
 from fgloc.smoother.chain import Chain
 from fgloc.smoother.guess import guess, gyro_yaw
 from fgloc.smoother.model import Model
+from fgloc.smoother.native_posts import post_key, told_factors
 from fgloc.smoother.post_evidence import log_density, with_posts
 from fgloc.smoother.states import Robustness, States
 from fgloc.smoother.swaying import Swaying, _slots, occurrence
@@ -134,6 +137,20 @@ def test_a_tilt_beyond_the_horizon_is_followed_in_a_straight_line(drive):
     one, two = (swaying.moved(1, np.array([0]), f * np.eye(6)[:1])[0] for f in (50.0, 100.0))
     assert np.isfinite(one).all()
     assert np.linalg.norm(two) == pytest.approx(2 * np.linalg.norm(one), rel=0.1)
+
+
+def test_the_native_factors_of_a_user_charge_the_residual():
+    rng = np.random.default_rng(1)
+    told, z, state, J = *rng.standard_normal((2, 2)), rng.standard_normal(6), np.ones((2, 6))
+    cov = np.array([[2, 1], [1, 3.0]])
+    model = gtsam.noiseModel.Gaussian.Covariance(cov)
+    tie, row = told_factors(0, told, z, model, {post_key(1, 4): J})
+    values = gtsam.Values()
+    values.insert(post_key(1, 4), state)
+    values.insert(U(0), z - J @ state)
+    assert row.error(values) == pytest.approx(0, abs=1e-12)
+    off = told - (z - J @ state)
+    assert tie.error(values) == pytest.approx(off @ np.linalg.solve(cov, off) / 2)
 
 
 @pytest.fixture(scope="module")
