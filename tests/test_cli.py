@@ -19,7 +19,7 @@ from fgloc.datasets import open_drive
 from fgloc.datasets.drive_folder import read_drive, write_drive
 from fgloc.datasets.trajectory_files import read_trajectory, write_trajectory_csv
 from fgloc.errors import SolverError
-from fgloc.outputs import FILES, OBJECTS, POSTS, VERDICT_COLUMNS, format_verdicts
+from fgloc.outputs import FILES, NODES, OBJECTS, POSTS, VERDICT_COLUMNS, format_verdicts
 from fgloc.verdicts import SourceVerdicts, Verdict
 
 COMMANDS = (
@@ -210,7 +210,7 @@ def test_a_causal_mode_with_its_smoothed_states(run, city, tmp_path):
     status, text, _ = run("smooth", city, "--mode", "fixed-lag", "--lag", "4", "--smoothed",
                           "--out", out, "--score-from", "15", "--also", "gpx,kml")  # fmt: skip
     assert status == 0 and "causal, no look-ahead" in text and "which looks ahead" in text
-    assert {path.name for path in out.iterdir()} == set(FILES) - {OBJECTS, POSTS}
+    assert {path.name for path in out.iterdir()} == set(FILES) - {OBJECTS, POSTS, NODES}
     summary = json.loads((out / "summary.json").read_text())
     assert summary["causal"] and summary["method"] == "graph-lag"
     assert tomllib.loads((out / "config.toml").read_text())["lag_s"] == 4.0
