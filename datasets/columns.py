@@ -135,3 +135,16 @@ def check_values(path: Path, columns: Columns, layout: Layout) -> None:
                 f"{place(path, row)}: {name} is {values[row]}; "
                 "a finite number is needed; remove the row or repair it"
             )
+
+
+def check_known(path: Path, columns: Columns, name: str, have: int) -> None:
+    """Raise DriveError at the first row whose number points to none of the `have` entries of
+    drive.toml that are called `name`."""
+    numbers = columns[name]
+    unknown = (numbers < 0) | (numbers >= have)
+    if unknown.any():
+        row = int(np.argmax(unknown))
+        raise DriveError(
+            f"{place(path, row)}: {name} = {numbers[row]}, but drive.toml has {have} "
+            f"[[{name}]], counted from 0; add it there or remove the row"
+        )

@@ -119,8 +119,10 @@ def _parse_json(raw: bytes, start: int, names: list[str]) -> Columns | None:
         stop = raw.rfind(b"\n", start, start + _AT_ONCE) + 1 or len(raw)
         try:
             cells = _cells(raw[start:stop], len(names))
+            floats = np.array(cells, np.float64).reshape(-1, len(names))
             for k, name in enumerate(names):
-                columns[k].append(_column(cells[k :: len(names)], name))
+                exact = is_integer(name)
+                columns[k].append(_whole(cells[k :: len(names)], name) if exact else floats[:, k])
         except (ValueError, OverflowError):
             return None
         start = stop
@@ -138,10 +140,8 @@ def _cells(block: bytes, columns: int) -> list[Any]:
     return cells
 
 
-def _column(cells: list[Any], name: str) -> NDArray[Any]:
-    """Cells of one column as its type; ValueError where a stamp is not an integer of 64 bits."""
-    if not is_integer(name):
-        return np.array(cells, np.float64)
+def _whole(cells: list[Any], name: str) -> NDArray[np.int64]:
+    """Cells of a column of whole numbers; ValueError where one is not an integer of 64 bits."""
     values = np.array(cells)
     if values.dtype != np.int64:
         raise ValueError(f"{name} is not int64")

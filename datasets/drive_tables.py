@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.datasets.columns import Columns, Group, Layout, place
-from fgloc.datasets.post_columns import POSES, check_node, pose_columns
+from fgloc.datasets.columns import Columns, Group, Layout, check_known, place
+from fgloc.datasets.post_columns import POSES, pose_columns
 from fgloc.datasets.trajectory_columns import (
     ENU,
     GEODETIC,
@@ -226,7 +226,7 @@ def detections_from_columns(
     covariance that cannot be one.
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
-    check_node(path, columns, infrastructure)
+    check_known(path, columns, "node", len(infrastructure.nodes))
     node, object_id, kind = (columns[name] for name in NAMES)
     seen, cov = _seen(columns, infrastructure), _seen_covariance(path, columns)
     return NodeDetections(*_times(columns), node, object_id, kind, seen, cov)
@@ -274,7 +274,7 @@ def smart_codes_from_columns(
     Raises DriveError naming the first row of a sign that the drive does not have, or of no size.
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
-    _check_known(path, columns["sign"], "sign", len(infrastructure.signs))
+    check_known(path, columns, "sign", len(infrastructure.signs))
     _check_positive(path, columns, CODE_SIZE, "a size")
     corners = stack(columns, CORNERS).reshape(-1, 4, 2)
     height_px, width_px = (columns[name] for name in CODE_SIZE)
@@ -288,20 +288,10 @@ def ranges_from_columns(path: Path, columns: Columns, infrastructure: Infrastruc
     below 0 or of a sigma that is not above 0.
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
-    _check_known(path, columns["anchor"], "anchor", len(infrastructure.anchors))
+    check_known(path, columns, "anchor", len(infrastructure.anchors))
     _check_positive(path, columns, RANGE[:1], "a distance")
     _check_positive(path, columns, RANGE[1:])
     return Ranges(*_times(columns), columns["anchor"], *(columns[name] for name in RANGE))
-
-
-def _check_known(path: Path, numbers: NDArray[np.int64], what: str, have: int) -> None:
-    unknown = (numbers < 0) | (numbers >= have)
-    if unknown.any():
-        row = int(np.argmax(unknown))
-        raise DriveError(
-            f"{place(path, row)}: {what} = {numbers[row]}, but drive.toml has {have} "
-            f"[[{what}]], counted from 0; add it there or remove the row"
-        )
 
 
 def _seen(columns: Columns, infrastructure: Infrastructure) -> Array:

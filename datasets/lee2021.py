@@ -24,8 +24,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from fgloc import frames
 from fgloc.datasets import lee2021_road as road
+from fgloc.datasets.city import city_rig
 from fgloc.datasets.lee2021_errors import (
     GNSS_BIAS,
     GPS_WHITE_ENU_M,
@@ -48,7 +48,7 @@ from fgloc.datasets.simulator import (
     stream,
     truth_of,
 )
-from fgloc.drive import About, Drive, ImuNoise, Rig
+from fgloc.drive import About, Drive, Rig
 from fgloc.errors import InputError
 from fgloc.infrastructure import Infrastructure, Node
 from fgloc.measurements import Array
@@ -62,17 +62,6 @@ P_VEH_BOX_M = (1.35, 0.0, 0.75)
 P_VEH_ANT_M = (P_VEH_BOX_M[0] - 0.0381, 0.0, 1.5)
 """Half a wheelbase ahead of the rear axle: the box's centre is where the paper's reference is,
 0.0381 m ahead of the GPS (18)."""
-P_VEH_IMU_M = (0.5, -0.2, 0.4)
-IMU_TURN_RAD = (0.01, -0.02, 0.03)
-IMU_NOISE = ImuNoise(
-    accel_noise_mps2_per_sqrt_hz=2e-3,
-    gyro_noise_radps_per_sqrt_hz=2e-4,
-    accel_bias_walk_mps3_per_sqrt_hz=2e-4,
-    gyro_bias_walk_radps2_per_sqrt_hz=4e-6,
-    accel_bias_sigma_mps2=0.1,
-    gyro_bias_sigma_radps=0.005,
-)
-"""A consumer-grade MEMS unit."""
 
 LATENCY_S = 0.1
 LATENCY_SPREAD = 0.3
@@ -120,11 +109,9 @@ def simulate(
 
 
 def mcity_rig() -> Rig:
-    """Antenna and box half a wheelbase ahead of the rear axle, the IMU slightly askew."""
-    T_veh_imu = np.eye(4)
-    T_veh_imu[:3, :3] = frames.exp_so3(IMU_TURN_RAD)
-    T_veh_imu[:3, 3] = P_VEH_IMU_M
-    return Rig(np.array(P_VEH_ANT_M), T_veh_imu, IMU_NOISE, np.array(P_VEH_BOX_M), GNSS_BIAS)
+    """Antenna and box half a wheelbase ahead of the rear axle, the IMU that of `city`."""
+    antenna_m, box_m = np.array(P_VEH_ANT_M), np.array(P_VEH_BOX_M)
+    return replace(city_rig(), p_veh_ant_m=antenna_m, p_veh_box_m=box_m, gnss_bias=GNSS_BIAS)
 
 
 def mcity_node() -> Node:

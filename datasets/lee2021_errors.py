@@ -39,9 +39,11 @@ GPS_WHITE_ENU_M = (0.15, 0.15, 0.3)
 NODE_WHITE_ALONG_M, NODE_WHITE_PER_M, NODE_WHITE_ACROSS_M = 0.15, 0.004, 0.15
 """Sigma along the line of sight at the node and its growth with distance, and across."""
 
-GNSS_BIAS = GnssBias(sigma_m=1.45, tau_s=20.0)
+GNSS_BIAS = GnssBias(sigma_m=1.45, tau_s=12.0)
 NODE_BIAS_SIGMA_M, NODE_BIAS_TAU_S = 1.05, 10.0
-"""What the drive states of the slow errors: their rms on an axis, and how long they last."""
+"""What the drive states of the slow errors: their rms on an axis, and how long they last, which is
+by how much they leave means over 5 to 15 s (node) and 20 to 300 s (GPS) spread
+(`tests/benchmarks/lee2021_tables.py`)."""
 
 RAMP_S = 4.0
 """Before and after a pass."""

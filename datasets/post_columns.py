@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fgloc.datasets.columns import Columns, Group, Layout, place
+from fgloc.datasets.columns import Columns, Group, Layout, check_known, place
 from fgloc.datasets.trajectory_columns import check_increasing, stack, unstack
 from fgloc.errors import DriveError
 from fgloc.infrastructure import Infrastructure
@@ -43,7 +43,7 @@ def poses_from_columns(path: Path, columns: Columns, infrastructure: Infrastruct
     that is none, or with an angle and no sigma for it.
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
-    check_node(path, columns, infrastructure)
+    check_known(path, columns, NODE, len(infrastructure.nodes))
     _check_sigmas(path, columns, SIGMA)
     unknown = np.full((len(columns["t_ns"]), 2), np.nan)
     tilt, sigma_tilt = unknown, unknown
@@ -66,24 +66,12 @@ def truth_columns(truth: PostStates) -> Columns:
 def truth_from_columns(path: Path, columns: Columns, infrastructure: Infrastructure) -> PostStates:
     """The inverse of `truth_columns`; DriveError for a node that the drive does not have."""
     check_increasing(path, columns["t_ns"], duplicates=True)
-    check_node(path, columns, infrastructure)
+    check_known(path, columns, NODE, len(infrastructure.nodes))
     t_ns, unknown = columns["t_ns"], np.full((len(columns["t_ns"]), 2), np.nan)
     return PostStates(
         t_ns, t_ns, columns[NODE], stack(columns, DISPLACEMENT), stack(columns, VELOCITY),
         stack(columns, TILT), unknown, unknown, unknown,
     )  # fmt: skip
-
-
-def check_node(path: Path, columns: Columns, infrastructure: Infrastructure) -> None:
-    """Raise DriveError at the first row of a node that the drive does not have."""
-    nodes = infrastructure.nodes
-    unknown = (columns[NODE] < 0) | (columns[NODE] >= len(nodes))
-    if unknown.any():
-        row = int(np.argmax(unknown))
-        raise DriveError(
-            f"{place(path, row)}: node = {columns[NODE][row]}, but drive.toml has {len(nodes)} "
-            "[[node]], counted from 0; add it there or remove the row"
-        )
 
 
 def _check_tilts(path: Path, columns: Columns) -> None:

@@ -37,7 +37,8 @@ def residual(
     """Predicted minus measured antenna position of poses (N, ...) and fixes (N, 3), ENU m."""
     lever = np.asarray(p_veh_ant_m, float)
     error = p_world_m + R_world_veh @ lever + np.asarray(bias_world_m, float) - z_world_m
-    by_pose = np.concatenate([-R_world_veh @ skew(lever), R_world_veh], axis=-1)
+    turned = (R_world_veh.reshape(-1, 3) @ skew(-lever)).reshape(-1, 3, 3)  # one large product
+    by_pose = np.concatenate([turned, R_world_veh], axis=-1)
     return GnssResidual(error, by_pose, np.eye(3))
 
 

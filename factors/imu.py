@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fgloc.drive import Noise
+from fgloc.factors.fields import apply, exp, inverse_jacobian, of, product, rows
+from fgloc.factors.fields import skew as skews
 from fgloc.frames import exp_so3, log_so3, right_jacobian_inverse_so3, right_jacobian_so3, skew
 from fgloc.measurements import Array
 
@@ -25,6 +27,8 @@ if TYPE_CHECKING:
 INTEGRATION_NOISE_M_PER_SQRT_S = 1e-3
 """Position noise of the integration itself. A tenth of it makes the normal equations of 10 Hz
 keyframes too ill-conditioned for a Cholesky in double precision; estimates do not change."""
+_UNKNOWNS = (6, 9, 15, 21)
+"""Where the parts of `ImuResidual` begin."""
 
 
 class ImuDeltas(NamedTuple):
@@ -203,36 +207,34 @@ def residual(
 
     States are (R_world_veh (N, 3, 3), p_world_m (N, 3), v_world_mps (N, 3)); bias is (N, 6).
     """
-    (R_i, p_i, v_i), (R_j, p_j, v_j) = state_i, state_j
-    T, g = deltas.dt_s[:, None], np.array([0.0, 0.0, -gravity_mps2])
-    d = _corrected(deltas, bias)
-    dR, back = exp_so3(d[:, :3]), _transposed(R_j)
-    relative = back @ R_i
-    error = np.concatenate(
-        [
-            log_so3(relative @ dR),
-            _rotate(relative, d[:, 3:6]) + _rotate(back, p_i - p_j + v_i * T + 0.5 * g * T**2),
-            _rotate(relative, d[:, 6:]) + _rotate(back, v_i - v_j + g * T),
-        ],
-        axis=-1,
-    )
-    inverse = right_jacobian_inverse_so3(error[:, :3])
-    told = ImuResidual(error, np.zeros((len(d), 9, 24)))
-    told.by_pose_i[:, :3, :3] = inverse @ _transposed(dR)
-    told.by_pose_i[:, 3:6, :3] = -relative @ skew(d[:, 3:6])
-    told.by_pose_i[:, 3:6, 3:] = relative
-    told.by_pose_i[:, 6:, :3] = -relative @ skew(d[:, 6:])
-    told.by_velocity_i[:, 3:6] = back * T[:, None]
-    told.by_velocity_i[:, 6:] = back
-    told.by_bias[:, :3] = inverse @ (right_jacobian_so3(d[:, :3]) @ deltas.by_bias[:, :3])
-    told.by_bias[:, 3:6] = relative @ deltas.by_bias[:, 3:6]
-    told.by_bias[:, 6:] = relative @ deltas.by_bias[:, 6:]
-    told.by_pose_j[:, :3, :3] = -_transposed(inverse)  # Jr^-1(e) Exp(-e) = Jr^-1(-e)
-    told.by_pose_j[:, 3:6, :3] = skew(error[:, 3:6])
-    told.by_pose_j[:, 3:6, 3:] = -np.eye(3)
-    told.by_pose_j[:, 6:, :3] = skew(error[:, 6:])
-    told.by_velocity_j[:, 6:] = -back
-    return told
+    (R_i, p_i, v_i), (R_j, p_j, v_j) = (tuple(map(of, state)) for state in (state_i, state_j))
+    theta, dp, dv = of(_corrected(deltas, bias)).reshape(3, 3, -1)
+    T, g = deltas.dt_s, np.array([[0.0], [0.0], [-gravity_mps2]])
+    theta_by_bias, dp_by_bias, dv_by_bias = of(deltas.by_bias).reshape(3, 3, 6, -1)
+    dR, Jr = exp(theta)
+    back = R_j.swapaxes(0, 1)
+    relative = product(back, R_i)
+    turn = log_so3(rows(product(relative, dR))).T
+    inverse, *_ = inverse_jacobian(turn)
+    moved = apply(relative, dp) + apply(back, p_i - p_j + v_i * T + 0.5 * g * T**2)
+    sped_up = apply(relative, dv) + apply(back, v_i - v_j + g * T)
+    J = np.zeros((9, 24, len(T)))
+    by_pose_i, by_velocity_i, by_bias, by_pose_j, by_velocity_j = np.split(J, _UNKNOWNS, axis=1)
+    by_pose_i[:3, :3] = product(inverse, dR.swapaxes(0, 1))
+    by_pose_i[3:6, :3] = -product(relative, skews(dp))
+    by_pose_i[3:6, 3:] = relative
+    by_pose_i[6:, :3] = -product(relative, skews(dv))
+    by_velocity_i[3:6] = back * T
+    by_velocity_i[6:] = back
+    by_bias[:3] = product(inverse, product(Jr, theta_by_bias))
+    by_bias[3:6] = product(relative, dp_by_bias)
+    by_bias[6:] = product(relative, dv_by_bias)
+    by_pose_j[:3, :3] = -inverse.swapaxes(0, 1)  # Jr^-1(e) Exp(-e) = Jr^-1(-e)
+    by_pose_j[3:6, :3] = skews(moved)
+    by_pose_j[3:6, 3:] = -np.eye(3)[..., None]
+    by_pose_j[6:, :3] = skews(sped_up)
+    by_velocity_j[6:] = -back
+    return ImuResidual(rows(np.concatenate([turn, moved, sped_up])), np.ascontiguousarray(rows(J)))
 
 
 def _corrected(deltas: ImuDeltas, bias: ArrayLike) -> Array:
@@ -241,8 +243,3 @@ def _corrected(deltas: ImuDeltas, bias: ArrayLike) -> Array:
 
 def _rotate(matrix: Array, vector: Array) -> Array:
     return np.einsum("nij,nj->ni", matrix, vector)
-
-
-def _transposed(matrix: Array) -> Array:
-    """The transposes as a stack of its own: products of views of another order are slow."""
-    return np.ascontiguousarray(matrix.swapaxes(-1, -2))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fgloc.measurements import Array
 
@@ -74,3 +74,15 @@ def nis(error: ArrayLike, cov: ArrayLike) -> Array:
     return np.einsum(
         "...i,...i->...", e, np.linalg.solve(np.asarray(cov, float), e[..., None])[..., 0]
     )
+
+
+def positive_definite(matrices: Array, least: float = 0.0) -> NDArray[np.bool_]:
+    """(N,) bool: which of symmetric matrices (N, m, m) have eigenvalues above `least` only.
+
+    One factorisation of the whole stack decides the usual case, where all are definite.
+    """
+    try:
+        np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.eigvalsh(matrices)[:, 0] > least)
+    return np.ones(len(matrices), bool)

@@ -6,8 +6,8 @@ are laid side by side and stepped through together. Only the rotation needs step
 sample's share in delta, its bias Jacobians and its covariance is a product of what precedes it and
 of P, the 9 x 3 effect that a change of theta just after the sample has at the interval's end.
 
-Inside, components come first: a field of vectors is (3, L, n) and one of matrices (3, 3, L, n) for
-sample l of interval n, which numpy works through several times faster than stacks of small arrays.
+Inside are fields, see `fields.py`: of vectors (3, L, n) and matrices (3, 3, L, n) for sample l of
+interval n.
 """
 
 from collections.abc import Iterator
@@ -15,6 +15,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgloc.factors.fields import apply, cross, curvature, exp, inverse_jacobian, product
+from fgloc.factors.fields import skew as skews
 from fgloc.factors.imu import INTEGRATION_NOISE_M_PER_SQRT_S, ImuDeltas
 from fgloc.frames import (
     exp_so3,
@@ -25,8 +27,8 @@ from fgloc.frames import (
 )
 from fgloc.measurements import Array
 
-SAMPLES_AT_ONCE = 40_000
-"""Intervals are taken in portions of about so many samples, which bounds the memory."""
+SAMPLES_AT_ONCE = 6_000
+"""Intervals are taken in portions of about so many samples, which fit the processor's cache."""
 
 
 def preintegrate(
@@ -117,9 +119,10 @@ class _Path:
     def __init__(self, accel: Array, gyro: Array, dt: Array, count: NDArray[np.int64]) -> None:
         self._dt = dt
         self._theta = _rotations(gyro * self.dt_until(count))
-        self._R, Jr, self._inverse, c, slope = _so3(self._theta[:, :-1])
-        self._force = _apply(self._R, accel)
-        self._force_by_theta = _product(_product(self._R, -_skew(accel)), Jr)
+        self._R, Jr = exp(self._theta[:, :-1])
+        self._inverse, c, slope = inverse_jacobian(self._theta[:, :-1])
+        self._force = apply(self._R, accel)
+        self._force_by_theta = product(product(self._R, -skews(accel)), Jr)
         self._turn_by_theta = _theta_by_theta(self._theta[:, :-1], gyro, c, slope)
 
     def dt_until(self, count: NDArray[np.int64]) -> Array:
@@ -147,7 +150,7 @@ class _Path:
         by_bias[:, 6:, :3] = -(R * dt).sum(2).transpose(2, 0, 1)
         by_bias[:, :, 3:] = -(M * dt).sum(2).transpose(2, 0, 1)
         cov = _covariance(M, R, dt, reach, accel_var, gyro_var)
-        return delta, by_bias, _at_the_end(_so3(theta), cov)
+        return delta, by_bias, _at_the_end(exp(theta), cov)
 
 
 def _rotations(turn: Array) -> Array:
@@ -156,8 +159,8 @@ def _rotations(turn: Array) -> Array:
     for k in range(turn.shape[1]):
         t, w = theta[:, k], turn[:, k]
         square, along = (t * t).sum(0), (t * w).sum(0)
-        c, _ = _curvature(square)
-        theta[:, k + 1] = (1 - c * square) * w + c * along * t + t + _cross(t, w) / 2
+        c, _ = curvature(square)
+        theta[:, k + 1] = (1 - c * square) * w + c * along * t + t + cross(t, w) / 2
     return theta
 
 
@@ -167,51 +170,21 @@ def _effects(step: Array, move: Array, speed_up: Array, inverse: Array) -> Array
     P = np.zeros((9, 3, step.shape[-1]))
     P[:3] = np.eye(3)[..., None]
     for k in reversed(range(step.shape[2])):
-        M[:, :, k] = _product(P, inverse[:, :, k])
-        P = _product(P, step[:, :, k])
+        M[:, :, k] = product(P, inverse[:, :, k])
+        P = product(P, step[:, :, k])
         P[3:6] += move[:, :, k]
         P[6:] += speed_up[:, :, k]
     return M
 
 
-def _so3(theta: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Exp, Jr, Jr^-1 (3, 3, ...) of rotation vectors (3, ...), and `_curvature`."""
-    square = (theta * theta).sum(0)
-    small = square < 1e-6
-    x2 = np.where(small, 1.0, square)
-    x = np.sqrt(x2)
-    sine = np.where(small, 1 - square / 6, np.sin(x) / x)
-    cosine = np.where(small, 0.5 - square / 24, (1 - np.cos(x)) / x2)
-    cubic = np.where(small, 1 / 6 - square / 120, (x - np.sin(x)) / (x * x2))
-    c, slope = _curvature(square)
-    T, eye = _skew(theta), np.eye(3).reshape(3, 3, *[1] * square.ndim)
-    TT = theta[:, None] * theta - square * eye
-    return (eye + sine * T + cosine * TT, eye - cosine * T + cubic * TT, eye + T / 2 + c * TT,
-            c, slope)  # fmt: skip
-
-
 def _theta_by_theta(theta: Array, gyro: Array, c: Array, slope: Array) -> Array:
     """Derivative (3, 3, L, n) by theta of Jr^-1(theta) w = w + theta x w / 2 + c theta x ..."""
     along = (theta * gyro).sum(0)
-    once = _cross(theta, gyro)
+    once = cross(theta, gyro)
     twice = theta * along - gyro * (theta * theta).sum(0)
-    result = -_skew(gyro / 2 + c * once) + (slope * twice - c * gyro)[:, None] * theta
+    result = -skews(gyro / 2 + c * once) + (slope * twice - c * gyro)[:, None] * theta
     result[range(3), range(3)] += c * along
     return result
-
-
-def _curvature(square: Array) -> tuple[Array, Array]:
-    """c(x) = 1/x^2 - cot(x/2) / 2x of Jr^-1 = I + T/2 + c T^2, and c'(x) / x, by x^2."""
-    s = square
-    c = 1 / 12 + s * (1 / 720 + s * (1 / 30240 + s * (1 / 1209600 + s / 47900160)))
-    slope = 1 / 360 + s * (1 / 7560 + s * (1 / 201600 + s / 5987520))
-    if s.size and s.max() > 0.25:
-        large = s > 0.25
-        x = np.sqrt(s[large])
-        tan = np.tan(x / 2)
-        c[large] = 1 / x**2 - 1 / (2 * x * tan)
-        slope[large] = (-2 / x**3 + 1 / (2 * x**2 * tan) + 1 / (4 * x * np.sin(x / 2) ** 2)) / x
-    return c, slope
 
 
 def _covariance(
@@ -242,30 +215,10 @@ def _spread(effects: Array) -> Array:
     return np.asarray(flat @ flat.swapaxes(-1, -2))
 
 
-def _at_the_end(end: tuple[Array, ...], cov: Array) -> Array:
+def _at_the_end(end: tuple[Array, Array], cov: Array) -> Array:
     """A covariance of (theta, dp, dv) turned into the frame at the interval's end."""
-    R, Jr, *_ = end
+    R, Jr = end
     turn = np.zeros_like(cov)
     turn[:, :3, :3] = Jr.transpose(2, 0, 1)
     turn[:, 3:6, 3:6] = turn[:, 6:, 6:] = R.transpose(2, 1, 0)
     return turn @ cov @ turn.swapaxes(-1, -2)
-
-
-def _product(A: Array, B: Array) -> Array:
-    return np.einsum("ij...,jk...->ik...", A, B)
-
-
-def _apply(A: Array, b: Array) -> Array:
-    return np.einsum("ij...,j...->i...", A, b)
-
-
-def _skew(vector: Array) -> Array:
-    W = np.zeros((3, *vector.shape))
-    W[2, 1], W[0, 2], W[1, 0] = vector
-    W[1, 2], W[2, 0], W[0, 1] = -vector
-    return W
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
-                     a[0] * b[1] - a[1] * b[0]])  # fmt: skip

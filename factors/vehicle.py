@@ -121,6 +121,20 @@ def wheel(u: BodyVelocity, turn_rad: ArrayLike, scale: float, speed_mps: Array) 
     )
 
 
+def late_wheel(
+    u: BodyVelocity, turn_rad: ArrayLike, scale: float, speed_mps: Array, slope_mps2: Array,
+    late_s: float,
+) -> tuple[VehicleResidual, Array]:  # fmt: skip
+    """`wheel` of speeds that are stamped too late, and its Jacobian by that (N, 1, 1).
+
+    What was true at the stamp is told only `late_s` later, by when the wheels' speed has changed
+    by its own slope (N,); what bends it within `late_s` is left out.
+    """
+    told = wheel(u, turn_rad, scale, speed_mps + late_s * slope_mps2)
+    ahead = exp_so3(_rotvec(turn_rad, len(u.value)))[:, 0, 0]
+    return told, (scale * ahead * slope_mps2)[:, None, None]
+
+
 def standstill(v_world_mps: Array, bias: Array, rate_radps: Array) -> StandstillResidual:
     """Velocity, and gyro bias minus the mean rate (N, 3) of a car that stands."""
     error = np.concatenate([v_world_mps, bias[:, 3:] - rate_radps], axis=-1)
@@ -143,9 +157,12 @@ def read_calibration(value: gtsam.imuBias.ConstantBias) -> Array:
     return np.array([pitch, yaw, 1 - value.accelerometer()[0]])
 
 
-def mounting_covariance(cov: Array) -> Array:
-    """(2, 2) in rad^2 of the pitch and yaw of the mounting, from the covariance (6, 6) of K(0)."""
-    return MOUNTING_S**2 * cov[4:, 4:]
+def calibration_covariance(cov: Array) -> Array:
+    """(3, 3) of the pitch and yaw of the mounting, in rad, and of the scale, from the covariance
+    (6, 6) of K(0)."""
+    by = np.zeros((3, 6))
+    by[[0, 1, 2], [4, 5, 0]] = -MOUNTING_S, -MOUNTING_S, -1.0
+    return by @ cov @ by.T
 
 
 def car_pose(pose: gtsam.Pose3, point_mps: Array, turn_rad: ArrayLike) -> gtsam.Pose3:

@@ -72,7 +72,7 @@ def smooth(
     in_force = configure(mode, config=config, lag_s=lag_s, smoothed=smoothed, settings=settings,
                          seed=seed)  # fmt: skip
     opened, in_force = prepare(drive, in_force, seed)
-    from fgloc.smoother.by_drive import smooth as run
+    from fgloc.smoother import smooth as run
 
     return run(opened, in_force)
 
@@ -225,12 +225,11 @@ def is_scenario(drive: DriveLike) -> bool:
 def _method(name: str) -> Method:
     """A method's name with the function that runs it."""
     from fgloc import baselines, smoother
-    from fgloc.smoother import by_drive
 
     graphs = smoother.methods()
     if name in graphs:
         config = load_config(**graphs[name])
-        return Method(name, lambda drive: by_drive.smooth(drive, config))
+        return Method(name, lambda drive: smoother.smooth(drive, config))
     baselines.check(name, others=tuple(graphs))
     return Method(name, lambda drive: baselines.run(drive, name))
 
@@ -238,11 +237,10 @@ def _method(name: str) -> Method:
 def _configured(label: str, config: str | Path | SmoothConfig) -> Method:
     """The graph under a configuration, by a label that is no method's name."""
     from fgloc import baselines, smoother
-    from fgloc.smoother import by_drive
 
     if not label or label in (*smoother.methods(), *baselines.available()):
         raise InputError(
             f"the label {label!r} of a configuration is a method's name or empty; choose another"
         )
     in_force = configure(config=config)
-    return Method(label, lambda drive: by_drive.smooth(drive, in_force))
+    return Method(label, lambda drive: smoother.smooth(drive, in_force))

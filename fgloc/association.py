@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.measurements import Array
+from fgloc.positions import numbered
 
 FEW = 3
 """A number seen in fewer frames is a ghost's, if it is not the car's."""
@@ -31,11 +32,11 @@ class Witness:
             car, seen = 0, 0
         return float(-2 * np.log((car + 1) / (seen + 2)))
 
-    def note(self, source: int, object_id: int, *, is_car: bool) -> None:
-        """One frame in which this number was the car, or another candidate was."""
+    def note(self, source: int, object_id: int, car: int, frames: int = 1) -> None:
+        """So many frames in which this number was the car, of those in which some candidate was."""
         times = self._times.setdefault((source, object_id), [0, 0])
-        times[0] += is_car
-        times[1] += 1
+        times[0] += car
+        times[1] += frames
 
 
 def nearest(
@@ -52,11 +53,13 @@ def nearest(
     first = _least(frame, np.where(fits, nis, np.inf))
     witness = Witness()
     decided = np.isin(frame, frame[first])
-    for i in np.flatnonzero(decided).tolist():
-        witness.note(int(source[i]), int(object_id[i]), is_car=bool(first[i]))
-    raised = nis + np.array(
-        [witness.cost(int(s), int(o)) for s, o in zip(source, object_id, strict=True)]
-    )
+    which = numbered(source, object_id)
+    car, seen = (np.bincount(which, rows) for rows in (first, decided))
+    _, one = np.unique(which, return_index=True)
+    names = list(zip(source[one].tolist(), object_id[one].tolist(), strict=True))
+    for name, times, frames in zip(names, car.tolist(), seen.tolist(), strict=True):
+        witness.note(*name, int(times), int(frames))
+    raised = nis + np.array([witness.cost(*name) for name in names])[which]
     return _least(frame, np.where(fits, raised, np.inf))
 
 
@@ -78,9 +81,8 @@ def explanations(
     A number that was often seen and seldom the car is another road user; one that was seen in fewer
     than `FEW` frames is a ghost.
     """
-    number = np.stack([source, object_id], -1)
-    known, which, seen = np.unique(number, axis=0, return_inverse=True, return_counts=True)
-    car = np.bincount(which, chosen, len(known))
+    which = numbered(source, object_id)
+    seen, car = np.bincount(which), np.bincount(which, chosen)
     frames_with_car = set(frame[chosen].tolist())
     told = []
     for i in np.flatnonzero(~chosen).tolist():

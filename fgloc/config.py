@@ -5,12 +5,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from fgloc.errors import ConfigError, nearest
 
 M = TypeVar("M", bound=BaseModel)
 Mode = Literal["batch", "incremental", "fixed-lag"]
+Clock = Literal["gnss", "imu", "wheel", "velocity", "nodes"]
 
 
 class Section(BaseModel):
@@ -124,8 +125,8 @@ class MotionConfig(Section):
     gap_s: float = Field(default=1.0, gt=0)
     """Yaw rates further apart tell nothing of the turn between them."""
     velocities: bool | None = None
-    """Use the drive's `velocity` rows. Default: where there is no IMU, as such rows come from
-    one."""
+    """Use the drive's `velocity` rows. Default: where nothing else tells how the vehicle moves, as
+    such rows come from an IMU or from odometry, and would tell the same twice."""
 
 
 class VehicleConfig(Section):
@@ -157,6 +158,8 @@ class VehicleConfig(Section):
     do by 2 to 4 degrees per g. 0 for a body that has no springs, as in simulation."""
     mounting_sigma_rad: float = Field(default=0.03, gt=0)
     """How straight the IMU's axes lie to the car's; the turn between them is estimated."""
+    wheel_sigma_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
+    """Factor on every wheel speed's standard deviation."""
     scale_sigma: float = Field(default=0.02, gt=0)
     """Of the wheels' scale, which is estimated: tyres differ in wear, load and pressure."""
     still_window_s: float = Field(default=1.0, gt=0, le=1e6)
@@ -179,12 +182,24 @@ class ClockConfig(Section):
     gnss_s: float = Field(default=0.0, ge=-60, le=60)
     imu_s: float = Field(default=0.0, ge=-60, le=60)
     wheel_s: float = Field(default=0.0, ge=-60, le=60)
+    """Of wheel speeds and of odometry."""
+    steering_s: float = Field(default=0.0, ge=-60, le=60)
+    velocity_s: float = Field(default=0.0, ge=-60, le=60)
     nodes_s: float = Field(default=0.0, ge=-60, le=60)
-    estimate: Literal["none", "gnss", "imu", "nodes"] = "none"
-    """Estimate, in a batch, how late the stamps of fixes, IMU or roadside nodes are against all
-    others, as one constant of the drive. The others' clock is that of the trajectory."""
+    estimate: tuple[Clock, ...] = ()
+    """Estimate, in a batch, how late the stamps of these are against all others, each as one
+    constant of the drive: `gnss`, `imu`, `wheel`, `velocity`, `nodes`, or several, `gnss,wheel`.
+    The clock of the others is that of the trajectory."""
     sigma_s: float = Field(default=0.3, gt=0)
-    """How late they may be beforehand."""
+    """How late each may be beforehand."""
+
+    @field_validator("estimate", mode="before")
+    @classmethod
+    def _listed(cls, names: Any) -> Any:
+        """A list as one word, with commas; `none` is none."""
+        if not isinstance(names, str):
+            return names
+        return [name.strip() for name in names.split(",") if name.strip() not in ("", "none")]
 
 
 class SolverConfig(Section):

@@ -47,7 +47,8 @@ class Constraints:
     velocity_row  (K,) the same of a velocity in the world
     stands        (K,) bool: the car does not move
     rate_radps    (K, 3) mean angular rate of the window before, vehicle axes
-    ahead_mps2    (K,) mean specific force along x of the last `PITCH_WINDOW_S`
+    ahead_mps2    (K,) mean specific force along x of the last `PITCH_WINDOW_S`, 0 where nothing is
+                  in force
     """
 
     in_force: NDArray[np.bool_]
@@ -77,7 +78,7 @@ def chosen_rows(
         why = UNSOUND_ODOMETRY if source == "odometry" else why
         wheels = _chosen(wheel.t_ns, sound, why, others_ns, interval_s, own)
     asked = config.motion.velocities
-    if velocity is not None and (motion.is_made_up if asked is None else asked):
+    if velocity is not None and (motion.forgets_yaw if asked is None else asked):
         sound = np.isfinite(velocity.v_world_mps).all(-1) & _positive(velocity.sigma_mps)
         why = "velocity or sigma is not finite, or sigma is not above 0"
         own, interval_s = verdicts["velocity"], config.motion.interval_s
@@ -128,8 +129,10 @@ def constraints(
             still and not _moves(int(t), wheel, drive.gnss, config)
             for still, t in zip(quiet, t_ns[chosen], strict=True)
         ]
-    mean, _ = _moments(imu, t_ns, PITCH_WINDOW_S)
-    ahead = mean @ np.append(motion.T_veh_imu[0, :3], np.zeros(3))
+    ahead = np.zeros(len(t_ns))
+    if in_force.any():
+        mean, _ = _moments(imu, t_ns, PITCH_WINDOW_S)
+        ahead = mean @ np.append(motion.T_veh_imu[0, :3], np.zeros(3))
     return Constraints(
         in_force, row, velocity_row, stands, rate, np.clip(ahead, -TYRES_MPS2, TYRES_MPS2)
     )

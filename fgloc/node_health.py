@@ -64,8 +64,8 @@ def format_nodes(rows: list[dict[str, Any]]) -> str:
 
 def _arrived(drive: Drive, node: int, summary: Mapping[str, Any]) -> dict[str, Any]:
     """How the detections of a node came in."""
-    clock = summary.get("clock") or {}
-    late = {"clock_late_s": clock["late_s"]} if clock.get("source") == "nodes" else {}
+    clock = (summary.get("clock") or {}).get("nodes")
+    late = {"clock_late_s": clock["late_s"]} if clock else {}
     seen = drive.tables.get(NodeDetections.KIND)
     own = seen.take(seen.node == node) if isinstance(seen, NodeDetections) else ()
     if not isinstance(own, NodeDetections) or not len(own):

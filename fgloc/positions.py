@@ -237,11 +237,19 @@ def _detections(
     for i, node in enumerate(drive.infrastructure.nodes):
         own = seen.node == i
         cov[own, :2, :2] = horizontal_cov_m2(node, seen.take(own), config, up_m)
-    _, frame = np.unique(np.stack([seen.t_ns, seen.node], -1), axis=0, return_inverse=True)
     return Positions(
-        seen.t_ns, seen.received_ns, 1 + seen.node, rows, frame, seen.object_id, z, cov,
-        np.ones(len(rows), bool),
+        seen.t_ns, seen.received_ns, 1 + seen.node, rows, numbered(seen.t_ns, seen.node),
+        seen.object_id, z, cov, np.ones(len(rows), bool),
     )  # fmt: skip
+
+
+def numbered(*columns: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A number (n,) for each row of some columns (n,): the same where all of them are the same."""
+    order = np.lexsort(columns[::-1])
+    new = np.any([np.diff(column[order], prepend=column[order[:1]]) != 0 for column in columns], 0)
+    number = np.empty(len(order), np.int64)
+    number[order] = np.cumsum(new)
+    return number
 
 
 def height_m(drive: Drive) -> float:

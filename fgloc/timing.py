@@ -123,6 +123,9 @@ def elapsed_s(t_ns: ArrayLike, start_ns: int) -> NDArray[np.float64]:
 
 def ns_to_decimal(t_ns: int) -> str:
     """`1751900000123456789` as '1751900000.123456789': seconds with every nanosecond kept."""
+    text = str(t_ns)
+    if t_ns >= NS_PER_S:
+        return f"{text[:-9]}.{text[-9:]}"
     sign, magnitude = ("-", -t_ns) if t_ns < 0 else ("", t_ns)
     return f"{sign}{magnitude // NS_PER_S}.{magnitude % NS_PER_S:09d}"
 

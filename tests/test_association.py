@@ -54,7 +54,7 @@ def test_a_witness_counts_by_laplaces_rule():
     witness = Witness()
     assert witness.cost(0, 7) == -2 * np.log(1 / 2)
     for is_car in (True, True, False):
-        witness.note(0, 7, is_car=is_car)
+        witness.note(0, 7, car=is_car)
     assert witness.cost(0, 7) == -2 * np.log(3 / 5)
     assert witness.cost(0, -1) == -2 * np.log(1 / 2)
     assert witness.cost(1, 7) == -2 * np.log(1 / 2)

@@ -131,7 +131,7 @@ class Readings:
         cost = nis + np.array([self._witness.cost(*number) for number in numbers])
         best = int(np.argmin(np.where(fits, cost, np.inf)))
         for n, number in enumerate(numbers):
-            self._witness.note(*number, is_car=n == best)
+            self._witness.note(*number, car=n == best)
         return self._take(state, int(rows[best]))
 
     def _take(self, state: State, row: int) -> Taken:

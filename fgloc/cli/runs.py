@@ -63,7 +63,7 @@ def smooth(
     )
     with working(f"smoothing {drive}"):
         opened, in_force = api.prepare(drive, in_force, seed)
-        from fgloc.smoother.by_drive import smooth as run
+        from fgloc.smoother import smooth as run
 
         result = run(opened, in_force)
         summary = outputs.write_result(

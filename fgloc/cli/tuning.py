@@ -39,12 +39,15 @@ def tune(
     drive: str, out: Path, overwrite: bool, outage_s: float, config: Path | None,
     settings: tuple[str, ...], seed: int | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Find the noise of the fixes and the IMU from a drive.
+    """Find the noise of a drive's sources from the drive itself.
 
     Fixes are withheld, one by one and in outages, and predicted from the rest; the noise under
     which that goes best becomes a configuration for fgloc smooth. A quarter of the drive is not
     seen by the search and shows whether the noise holds. Truth is not used. What the drive does not
     determine stays as it was. A slow error of the fixes is sought where gnss.bias_sigma_m is set.
+
+    Wheels and roadside nodes come after: each of their rows is left out and predicted from all
+    others. So do the sigmas of vehicle.non_holonomic where that is set.
     """
     from fgloc import api, outputs
 
@@ -71,15 +74,36 @@ def _print(found: "Tuning", drive: str, out: Path) -> None:
     ]  # fmt: skip
     table(f"{found.drive}: noise from {found.fixes:,} fixes",
           ("setting", "before", "after", "sigma", "status"), rows)  # fmt: skip
-    gaps = [
+    _print_gaps(found)
+    _print_aids(found)
+    for remark in found.remarks:
+        say(f"note: {remark}")
+    say(f"Configuration in {out}; use it with fgloc smooth {drive} --config {out}")
+
+
+def _print_gaps(found: "Tuning") -> None:
+    from fgloc.report.tables import number
+
+    rows = [
         (f"{one.outage_s:.3g}", str(one.n), number(one.nis_before), number(one.nis_after),
          f"{one.low:.2f} to {one.high:.2f}", number(one.log_likelihood_before),
          number(one.log_likelihood_after))
         for one in found.consistency
     ]  # fmt: skip
-    table("Withheld fixes that the search has not seen: mean NIS / dof, log-likelihood of a fix",
-          ("gap in s", "n", "NIS before", "after", "consistent", "log-l. before", "after"),
-          gaps)  # fmt: skip
-    for remark in found.remarks:
-        say(f"note: {remark}")
-    say(f"Configuration in {out}; use it with fgloc smooth {drive} --config {out}")
+    columns = ("gap in s", "n", "NIS before", "after", "consistent", "log-l. before", "after")
+    if rows:
+        table("Withheld fixes that the search has not seen: mean NIS / dof, log-likelihood of a "
+              "fix", columns, rows)  # fmt: skip
+
+
+def _print_aids(found: "Tuning") -> None:
+    from fgloc.report.tables import number
+
+    rows = [
+        (one.source, str(one.n), number(one.nis_before), number(one.nis_after),
+         f"{one.low:.2f} to {one.high:.2f}")
+        for one in found.aids
+    ]  # fmt: skip
+    columns = ("source", "n", "NIS before", "after", "consistent")
+    if rows:
+        table("Rows that the search has not seen, by all others: mean NIS / dof", columns, rows)

@@ -7,6 +7,7 @@ rows would give intervals that are far too narrow.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -68,7 +69,7 @@ class Bootstrap:
         around = np.concatenate([columns, columns[: length - 1]])
         total = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(around, axis=0)])
         blocks = (total[length:] - total[:-length]) / length
-        return blocks[self._starts(n, length)].mean(axis=1)
+        return blocks.T[:, self._starts(n, length)].mean(axis=-1).T
 
     def _thinned(self, n: int) -> np.ndarray:
         """A row of each stretch of n, drawn at random: rows evenly apart could beat with errors
@@ -88,13 +89,18 @@ class Bootstrap:
 
     def _starts(self, n: int, length: int) -> np.ndarray:
         """First rows (resamples, blocks) of as many blocks as fill a series of n rows."""
-        rng = np.random.default_rng(self.seed)
-        return rng.integers(0, n, (self.resamples, -(-n // length)))
+        return _drawn(self.seed, n, self.resamples, -(-n // length))
 
     def _interval(self, values: Array) -> Interval:
         tail = (1 - self.probability) / 2
         low, high = np.quantile(values, [tail, 1 - tail])
         return float(low), float(high)
+
+
+@lru_cache(maxsize=2)
+def _drawn(seed: int, n: int, resamples: int, blocks: int) -> np.ndarray:
+    """Random rows (resamples, blocks) below n; all columns of a drive are drawn at the same."""
+    return np.random.default_rng(seed).integers(0, n, (resamples, blocks))
 
 
 def paired_difference(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from fgloc import chi_square
 from fgloc.errors import InputError
+from fgloc.factors.noise import positive_definite
 from fgloc.measurements import Array
 
 _SINGULAR = 1e-12
@@ -32,9 +33,11 @@ def nees(error: Array, cov: Array) -> Array:
     rows = np.flatnonzero((sigma > 0).all(-1) & np.isfinite(error).all(-1))
     scaled = error[rows] / sigma[rows]
     correlation = cov[rows] / (sigma[rows, :, None] * sigma[rows, None, :])
-    definite = _positive_definite(correlation)
-    z, correlation = scaled[definite, :, None], correlation[definite]
-    result[rows[definite]] = (z * np.linalg.solve(correlation, z)).sum((-2, -1))
+    definite = positive_definite(correlation, _SINGULAR)
+    L, z = np.linalg.cholesky(correlation[definite]), scaled[definite]
+    for i in range(z.shape[1]):  # forward substitution: what is left of z is L^-1 z
+        z[:, i] = (z[:, i] - (L[:, i, :i] * z[:, :i]).sum(-1)) / L[:, i, i]
+    result[rows[definite]] = (z * z).sum(-1)
     return result
 
 
@@ -76,12 +79,3 @@ def _autocorrelation(x: Array) -> Array | None:
     if len(x) == 0 or covariance[0] <= 1e-300 or np.ptp(x) == 0:
         return None
     return covariance / covariance[0]
-
-
-def _positive_definite(correlation: Array) -> np.ndarray:
-    """(N,) bool. One factorisation of the whole stack decides the usual case, where all are."""
-    try:
-        np.linalg.cholesky(correlation)
-    except np.linalg.LinAlgError:
-        return np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR
-    return np.ones(len(correlation), bool)

@@ -2,22 +2,26 @@
 
 import platform
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, TypeVar
 
+import numpy as np
+
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
+from fgloc.errors import InputError
+from fgloc.measurements import NodeDetections, RelativeSightings
 from fgloc.post_health import post_health
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.chain import Chain
-from fgloc.smoother.cooperative import is_cooperative, run_cooperative
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
 from fgloc.smoother.post_evidence import likelier, refuse_gtsam
 from fgloc.smoother.post_results import post_table
-from fgloc.smoother.posts import refuse_search, smooth_posts
+from fgloc.smoother.posts import refuse_search
 from fgloc.smoother.roadside import causal_states, roadside
 from fgloc.smoother.states import SharedSigmas
 from fgloc.sync import plan
@@ -42,22 +46,61 @@ def methods() -> dict[str, dict[str, Any]]:
 
 
 def smooth(drive: Drive, config: SmoothConfig) -> Result:
-    """Estimate the drive's trajectory with the graph, as `config.mode` says.
+    """Estimate the drive's trajectory with the graph that suits it, as `config.mode` says.
 
-    Raises DriveError where the drive lacks what the graph needs, and SolverError where it cannot
-    be solved.
+    A drive with ranges and without fixes takes the planar graph of ranges, one with Smart Codes and
+    without an IMU that of codes; both have the modes batch and fixed-lag. Raises InputError for
+    another mode there, DriveError where the drive lacks what the graph needs, and SolverError where
+    it cannot be solved.
     """
     began = time.perf_counter()
-    if is_cooperative(drive):
-        result = replace(run_cooperative(drive, config), config=_provenance(config))
-    elif drive.has_vehicle:
-        result = _vehicle(drive, config)
-    else:
-        result = smooth_posts(drive, config, _method(config))
+    result = _by_drive(drive, config)
     wall_s = time.perf_counter() - began
     duration_s = result.summary["duration_s"]
     result.summary.update(wall_s=wall_s, realtime_factor=duration_s / wall_s)
     return result
+
+
+def _by_drive(drive: Drive, config: SmoothConfig) -> Result:
+    if (planar := _planar(drive)) is not None:
+        _refuse_incremental(drive, config)
+        return planar(drive, config.lag_s if config.mode == "fixed-lag" else None)
+    if is_cooperative(drive):
+        from fgloc.smoother.cooperative import run_cooperative
+
+        return replace(run_cooperative(drive, config), config=_provenance(config))
+    if drive.has_vehicle:
+        return _vehicle(drive, config)
+    from fgloc.smoother.posts import smooth_posts
+
+    return smooth_posts(drive, config, _method(config))
+
+
+def _planar(drive: Drive) -> Callable[[Drive, float | None], Result] | None:
+    """The planar graph that a drive takes, if it does."""
+    if "ranges" in drive.tables and "gnss" not in drive.tables:
+        from fgloc.smoother.ranges import smooth_ranges
+
+        return smooth_ranges
+    if "smart_codes" in drive.tables and "imu" not in drive.tables:
+        from fgloc.smoother.codes import smooth_codes
+
+        return smooth_codes
+    return None
+
+
+def _refuse_incremental(drive: Drive, config: SmoothConfig) -> None:
+    if config.mode == "incremental":
+        raise InputError(
+            f"drive {drive.name!r} takes a planar graph, which has the modes batch and fixed-lag, "
+            "not incremental"
+        )
+
+
+def is_cooperative(drive: Drive) -> bool:
+    """Whether a drive is of several road users, seen by nodes, rather than of one car."""
+    others = drive.objects is not None or RelativeSightings.KIND in drive.tables
+    return others and NodeDetections.KIND in drive.tables and "imu" not in drive.tables
 
 
 def _vehicle(drive: Drive, config: SmoothConfig) -> Result:
@@ -66,16 +109,16 @@ def _vehicle(drive: Drive, config: SmoothConfig) -> Result:
 
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:
-    clocks.refuse_wheels(config)
     refuse_gtsam(config)
     model = _model(Model, drive, config)
+    clocks.refuse_unanchored(config, model.aids, model.plan.motion.kind)
     run = run_batch(model)
     in_force = config
     for _ in range(MAX_SHIFTS):
-        if abs(run.states.late_s) < STILL_LATE_S:
+        if not (np.abs(run.states.late_s) >= STILL_LATE_S).any():
             break
-        # The estimate brings fixes back along a straight line: shift the stamps by it, and see what
-        # is left. A fix may then be true at another instant, so the epochs are planned anew.
+        # The estimate brings what is late back along a straight line: shift the stamps by it, and
+        # see what is left. They are then true at other instants, so the epochs are planned anew.
         in_force = clocks.shifted(in_force, run.states.late_s)
         shifted_s = model.shifted_s + run.states.late_s
         model = _model(Model, drive, in_force)
@@ -93,10 +136,11 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
     summary |= roadside(model, run.states, run.sigmas)
     if run.posts is not None:
         summary["posts"] = post_health(drive, run.posts)
-    if run.sigmas.late_s is not None:
+    if config.clock.estimate:
         found = clocks.shifted(in_force, run.states.late_s)
         summary["clock"] = clocks.summary(found, run.sigmas.late_s)
-        events.append(Event(int(model.t_ns[0]), "clock", summary["clock"]["text"]))
+        start_ns = int(model.t_ns[0])
+        events += [Event(start_ns, "clock", one["text"]) for one in summary["clock"].values()]
     verdicts = clocks.stamped_as_read(model.plan.verdicts, drive)
     return Result(
         run.log.trajectory(model), verdicts, summary, summary["method"], causal=False,
@@ -114,7 +158,7 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
     from fgloc.smoother.graph import GraphModel
     from fgloc.smoother.online import Online
 
-    clocks.refuse_estimate(config)
+    clocks.refuse_causal(config)
     refuse_search(config)
     model = _model(GraphModel, drive, config)
     lag_s = config.lag_s if config.mode == "fixed-lag" else None

@@ -6,15 +6,18 @@ in a fraction of a second, and the blocks of the inverse follow from the factor.
 all blocks share stand in a border, [[H, B], [B', C]], and are solved for by its Schur complement.
 """
 
+from collections.abc import Callable
 from functools import cache
 from importlib.machinery import PathFinder
 from importlib.util import module_from_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.factors import fields
 from fgloc.measurements import Array
 
 BLOCKS_AT_ONCE = 512
@@ -44,45 +47,56 @@ class Vector(NamedTuple):
 class Band:
     """Normal equations of n blocks of d unknowns and a border of k: terms are added, then solved.
 
-    `columns[j, c, i]` is H between unknown c of block j and the unknown i places after it.
+    `panels[j, c, r]` is H between unknown c of block j and unknown r of the blocks j and j + 1.
+    With d places left free after each panel its rows lie so that LAPACK reads the same memory as a
+    band: row c of the panel from its diagonal on, then zeros where the next row's upper triangle
+    stands.
     """
 
     def __init__(self, n: int, d: int, k: int = 0) -> None:
-        self.columns = np.zeros((n, d, 2 * d))
+        self._columns = np.zeros((n * d, 2 * d + 1))
+        self.panels = _panels(self._columns, n)
         self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
 
     def add(
-        self, blocks: NDArray[np.int64], at: NDArray[np.int64], curvature: Array, gradient: Array
+        self, blocks: NDArray[np.int64], at: NDArray[np.int64], J: Array, gradient: Array
     ) -> None:
         """Add M terms: one for each of some blocks (increasing, none twice).
 
-        curvature is (M, q, q) and gradient (M, q), of the unknowns `at` (up to q,), increasing;
-        they are counted from the start of the block, and on into the next block from d on. If q is
-        more, the rest are the border's k.
+        J (M, m, q) is what the curvature is the square of, and gradient is (M, q), of the unknowns
+        `at` (up to q,), increasing; they are counted from the start of the block, and on into the
+        next block from d on. If q is more, the rest are the border's k.
         """
-        d, m = self.columns.shape[1], len(at)
+        # As a stack of its own: numpy's product of a mere view takes several times as long.
+        back = np.ascontiguousarray(J.swapaxes(-1, -2))
+        d, m = self.gradient.blocks.shape[1], len(at)
         here, after = _span(blocks), _span(blocks + 1)
-        for c, unknown in enumerate(at.tolist()):
-            rows, place = (here, unknown) if unknown < d else (after, unknown - d)
-            further = _span(at[c:] - unknown)
-            target = self.columns[:, place]
-            target[_both(rows, further)] += curvature[:, c, c:m]
-            self.gradient.blocks[rows, place] += gradient[:, c]
-            self.border[rows, place] += curvature[:, c, m:] if m < curvature.shape[1] else 0.0
-        self.corner += curvature[:, m:, m:].sum(0) if m < curvature.shape[1] else 0.0
-        self.gradient.border[:] += gradient[:, m:].sum(0) if m < curvature.shape[1] else 0.0
+        for own, first, squares in _pieces(tuple(at.tolist()), d):
+            rows = here if first < d else after
+            place = slice(first % d, first % d + own.stop - own.start)
+            for other, further in squares:
+                self.panels[rows, place, further] += back[:, own] @ J[:, :, other]
+            self.gradient.blocks[rows, place] += gradient[:, own]
+            if m < J.shape[2]:
+                self.border[rows, place] += back[:, own] @ J[:, :, m:]
+        if m < J.shape[2]:
+            self.corner += (back[:, m:] @ J[:, :, m:]).sum(0)
+            self.gradient.border[:] += gradient[:, m:].sum(0)
 
     def factor(self, damping: Vector | None = None) -> "BorderedFactor":
         """The Cholesky factor, with a damping (d,) and (k,) on the diagonal, in the place of H.
 
         Raises NotPositiveError.
         """
+        n, d = self.gradient.blocks.shape
         corner = self.corner
         if damping is not None:
-            self.columns[:, :, 0] += damping.blocks
+            self._columns[:, 0].reshape(n, d)[:] += damping.blocks
             corner = corner + np.diag(damping.border)
-        return BorderedFactor(Factor(self.columns), self.border, corner)
+        for c in range(1, d):
+            self.panels[:, c, :c] = 0
+        return BorderedFactor(Factor(self._columns, n), self.border, corner)
 
 
 class BorderedFactor:
@@ -122,14 +136,14 @@ class BorderedFactor:
 
 
 class Factor:
-    """The Cholesky factor L of a band, in the place of H."""
+    """The Cholesky factor L of a band of n blocks, in the place of H."""
 
-    def __init__(self, columns: Array) -> None:
-        n, d, width = columns.shape
-        band, failed = _lapack().dpbtrf(columns.reshape(n * d, width).T, lower=1, overwrite_ab=1)
+    def __init__(self, columns: Array, n: int) -> None:
+        band, failed = _lapack().dpbtrf(columns.T, lower=1, overwrite_ab=1)
         if failed:
             raise NotPositiveError(failed - 1)
-        self._columns = band.T.reshape(n, d, width)
+        self._columns = band.T
+        self._panels = _panels(self._columns, n)
 
     @property
     def log_determinant(self) -> float:
@@ -138,9 +152,8 @@ class Factor:
 
     def solve(self, right: Array) -> Array:
         """X (n, d, k) of H X = right (n, d, k)."""
-        n, d, width = self._columns.shape
-        columns = right.reshape(n * d, -1)
-        x, _ = _lapack().dpbtrs(self._columns.reshape(n * d, width).T, columns, lower=1)
+        columns = right.reshape(len(self._columns), -1)
+        x, _ = _lapack().dpbtrs(self._columns.T, columns, lower=1)
         return np.asarray(x).reshape(right.shape)
 
     def inverse_blocks(self, keep: NDArray[np.int64]) -> Array:
@@ -152,7 +165,7 @@ class Factor:
         all L_k+1,k L_kk^-1 from each block to the run's end; that brings in, run by run from the
         last, what comes after.
         """
-        n, d, _ = self._columns.shape
+        n, d, _ = self._panels.shape
         out = np.empty((n, len(keep), len(keep)))
         after = np.zeros((d, d))
         for stop in range(n, 0, -BLOCKS_AT_ONCE):
@@ -169,13 +182,13 @@ class Factor:
         """Of blocks in runs (runs, length, d, d), as if the last of each were the last of all:
         their S, and by what the S of the first block after the run comes in. Where the number does
         not divide, blocks that change nothing stand before the first."""
-        L = _unfolded(self._columns[rows])
+        L = np.ascontiguousarray(self._panels[rows].swapaxes(-1, -2))
         m, d = len(L), L.shape[-1]
         length = max(int(np.sqrt(m)), 1)
         runs = -(-m // length)
         S, C = np.zeros((runs, length, d, d)), np.zeros((runs, length, d, d))
         C[:] = np.eye(d)
-        inverse = _inverse_of_lower(L[:, :d])
+        inverse = np.ascontiguousarray(fields.rows(fields.inverse_of_lower(fields.of(L[:, :d]))))
         S.reshape(-1, d, d)[-m:] = np.ascontiguousarray(inverse.swapaxes(-1, -2)) @ inverse
         C.reshape(-1, d, d)[-m:] = L[:, d:] @ inverse
         for k in reversed(range(length - 1)):
@@ -199,34 +212,38 @@ def _lapack() -> Any:
     return module
 
 
-def _unfolded(columns: Array) -> Array:
-    """The band's blocks in full, lower triangle and what is below it: (m, 2 d, d)."""
-    m, d, width = columns.shape
-    full = np.zeros((m, width, d))
-    for c in range(d):
-        full[:, c:, c] = columns[:, c, : width - c]
-    return full
+def _panels(columns: Array, n: int) -> Array:
+    """The panels (n, d, 2 d) in the memory of a band's columns; see `Band`."""
+    d = len(columns) // n
+    return columns.reshape(n, -1)[:, : 2 * d * d].reshape(n, d, 2 * d)
 
 
-def _inverse_of_lower(L: Array) -> Array:
-    """Of lower triangular matrices (m, d, d), by forward substitution along the whole stack."""
-    d = L.shape[-1]
-    inverse = np.zeros_like(L)
-    for i in range(d):
-        row = -np.matmul(L[:, i : i + 1, :i], inverse[:, :i])[:, 0]
-        row[:, i] += 1
-        inverse[:, i] = row / L[:, i, i, None]
-    return inverse
+@cache
+def _pieces(at: tuple[int, ...], d: int) -> list[tuple[slice, int, list[tuple[slice, slice]]]]:
+    """How the unknowns `at` lie in panels: of each run of one block where it stands in `at`, its
+    first unknown, and of every run from there on where it stands in `at` and in the rows of the
+    panel."""
+    pieces = []
+    for own in _runs(at, lambda i: at[i] == d):
+        first = at[own.start]
+        block = first - first % d
+        following = _runs(at[own.start :], lambda i: False)
+        squares = [
+            (slice(own.start + run.start, own.start + run.stop),
+             slice(at[own.start + run.start] - block, at[own.start + run.stop - 1] + 1 - block))
+            for run in following
+        ]  # fmt: skip
+        pieces.append((own, first, squares))
+    return pieces
+
+
+def _runs(at: tuple[int, ...], cut: Callable[[int], bool]) -> list[slice]:
+    """Where unknowns follow each other without a gap and without a cut before one."""
+    ends = [i for i in range(1, len(at)) if at[i] != at[i - 1] + 1 or cut(i)]
+    return [slice(i, j) for i, j in pairwise([0, *ends, len(at)] if at else [])]
 
 
 def _span(index: NDArray[np.int64]) -> Index:
     """An increasing index (n >= 1,), as a slice where it can be one: that is much quicker."""
     first, last = int(index[0]), int(index[-1])
     return slice(first, last + 1) if last - first == len(index) - 1 else index
-
-
-def _both(rows: Index, columns: Index) -> tuple[Index, Index]:
-    """An index of all rows in all columns."""
-    if isinstance(rows, slice) or isinstance(columns, slice):
-        return rows, columns
-    return rows[:, None], columns

@@ -1,5 +1,6 @@
 """The whole drive at once: guess, solve, gate what does not fit, and solve again."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -15,12 +16,23 @@ from fgloc.posts import PostStates
 from fgloc.result import Event
 from fgloc.smoother.chain import Chain, position_errors
 from fgloc.smoother.dense import fill
-from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, misfit, stretch
+from fgloc.smoother.guess import Guess, choose_yaw, guess, misfit, stretch, yaw_by_turns
+from fgloc.smoother.left_out import LeftOut, leave_out
 from fgloc.smoother.model import Model
 from fgloc.smoother.post_results import judge_batch, post_table
-from fgloc.smoother.states import Robustness, SharedSigmas, StateLog, States, yaw_sigma_rad
+from fgloc.smoother.states import (
+    Robustness,
+    SharedSigmas,
+    Spread,
+    StateLog,
+    States,
+    yaw_sigma_rad,
+)
+from fgloc.smoother.term import Term
 from fgloc.verdicts import Verdict
 
+POSITIONS = "positions"
+"""The name under which fixes and detections are left out together."""
 MAX_ROUNDS = 8
 """Gating, and which candidates are the car, is gone through until nothing changes, at most this
 often."""
@@ -47,8 +59,15 @@ class Solver(Protocol):
     ) -> tuple[States, float, int]:
         """The states of least cost, that cost and the iterations; `rough` may stop when near."""
 
-    def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
-        """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
+    def rough_predictions(self, states: States) -> Array | None:
+        """Covariances (rows, 3, 3) in m^2 of what the positions measure as predicted at the states
+        of a rough optimum; None where they take as long as the whole."""
+
+    def covariances(self, states: States, robust: Robustness) -> Spread:
+        """Of the poses, and of what the positions and the vehicle's own sources measure."""
+
+    def held_term(self, source: str, states: States, at: NDArray[np.int64]) -> Term:
+        """What one of the vehicle's own sources says at some keyframes."""
 
     def post_covariances(self, states: States, robust: Robustness) -> Array:
         """Of the states of the posts in all slots, (n, q, q)."""
@@ -69,6 +88,7 @@ class BatchRun:
     events: tuple[Event, ...]
     states: States
     sigmas: SharedSigmas
+    left_out: Mapping[str, LeftOut]
     posts: PostStates | None
     solver: Solver
     robust: Robustness
@@ -77,76 +97,113 @@ class BatchRun:
 def run_batch(model: Model) -> BatchRun:
     """Solve the drive and fill the verdicts of the model's plan.
 
-    A position's NIS is that of leaving it out: the position against all other measurements.
-    Candidates join once the drive is solved without them. Raises SolverError where the graph
+    A measurement's NIS is that of leaving it out: itself against all others. Candidates join once
+    the drive is solved without them, the plain ones roughly. Raises SolverError where the graph
     cannot be solved.
     """
     deltas, inner = model.deltas()
-    start = guess(model, 0, len(model) - 1, gyro_yaw(model))
+    start = guess(model, 0, len(model) - 1, yaw_by_turns(model))
     solver = _solver(model, start, deltas)
     states, robust, cost, iterations = _settle(model, solver, States.of(start, model))
-    if cost > misfit(len(model.guides) + model.car.worth(0, len(model))):
+    if cost > misfit(int((~robust.gated).sum()) + model.car.worth(0, len(model))):
         turned = _turned(model, solver, start)
         if turned is not start:
             states, robust, cost, iterations = _settle(model, solver, States.of(turned, model))
-    limits = np.empty(0)
+    limits: dict[str, Array] = {}
+    near = _wait(model, robust)
     for rounds in range(1, MAX_ROUNDS + 1):
-        cov, P = solver.covariances(states, robust)
-        nis, weight = _leave_one_out(model, states, P, robust)
-        limits = limits if len(limits) else _limits(model, nis)
-        gated = _gated(model, nis, limits)
-        if np.array_equal(gated, robust.gated) or rounds == MAX_ROUNDS:
+        spread = solver.covariances(states, robust)
+        told = {POSITIONS: _positions(model, states, spread.positions, robust),
+                **_held(model, solver, states, spread, robust)}  # fmt: skip
+        limits = limits or _limits(model, told)
+        gated = _gated(model, told[POSITIONS].nis, limits[POSITIONS])
+        unheld = _unheld(told, limits)
+        settled = np.array_equal(gated, robust.gated) and unheld == robust.unheld
+        if rounds == MAX_ROUNDS or (settled and not near):
             break
-        robust = replace(robust, gated=gated)
+        robust, near = replace(robust, gated=gated, unheld=unheld), False
         states, cost, count = solver.optimum(states, robust)
         iterations += count
-    settled = np.array_equal(gated, robust.gated)
-    _judge(model, robust, nis, limits, weight)
-    model.car.judge(states.R, states.v, states.bias, states.calibration)
-    log = _log(model, states, cov)
+    _judge(model, robust, told[POSITIONS], limits[POSITIONS])
+    model.car.found = states.calibration
+    for source in model.car.rows_of:
+        out = robust.unheld.get(source, frozenset())
+        model.car.judge(source, told[source], float(limits[source]), out)
+    log = _log(model, states, spread.poses)
     fill(log, model, states.bias, deltas, inner)
     begin = model.epoch_of[0]
     sigma = yaw_sigma_rad(log.R[begin], log.cov[begin, :3, :3])
-    factors = solver.factors - int(robust.gated.sum())
+    factors = solver.factors - int(robust.gated.sum()) - sum(map(len, robust.unheld.values()))
     events = _remarks(model, solver, robust, limits, settled=settled)
     sigmas = solver.shared_sigmas(states, robust)
     posts_cov = solver.post_covariances(states, robust)
     judge_batch(model, states, posts_cov)
     posts = post_table(model, states.posts, posts_cov)
-    return BatchRun(
-        log, factors, iterations, cost, sigma, events, states, sigmas, posts, solver, robust
-    )
+    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, told, posts,
+                    solver, robust)  # fmt: skip
 
 
-def _settle(model: Model, solver: Solver, states: States) -> tuple[States, Robustness, float, int]:
+def _settle(
+    model: Model, solver: Solver, states: States, *, join: bool = True
+) -> tuple[States, Robustness, float, int]:
     """The optimum from a guess, and the loss that it took: first none, to come near.
 
-    From afar every fix is an outlier, and a loss has no curvature to steer by.
+    From afar every fix is an outlier, and a loss has no curvature to steer by. Candidates that
+    `_alone` finds join if they are to. While all of them wait, near is enough: what they say of the
+    states is more than what is left.
     """
     n = int(np.searchsorted(model.key_of, len(states.p)))
-    nothing = model.positions.candidates[:n]
+    left_out = model.positions.candidates[:n]
     states, cost, iterations = solver.optimum(
-        states, Robustness(nothing, np.inf, plain=True), rough=True
+        states, Robustness(left_out, np.inf, plain=True), rough=True
     )
-    width, fixes = np.inf, ~nothing
+    width, fixes = np.inf, ~left_out
     if model.config.gnss.loss != "none" and fixes.any():
         error = position_errors(model, states, np.arange(n))[fixes]
         norm = np.sqrt(noise.nis(error, model.cov_m2[:n][fixes]))
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
-    robust = Robustness(nothing, width)
-    states, cost, more = solver.optimum(states, robust)
+    if join and left_out.any() and (P := solver.rough_predictions(states)) is not None:
+        left_out = left_out & ~_alone(model, states, P)
+        states, _, more = solver.optimum(
+            states, Robustness(left_out, np.inf, plain=True), rough=True
+        )
+        iterations += more
+    robust = Robustness(left_out, width)
+    states, cost, more = solver.optimum(states, robust, rough=join and _wait(model, robust))
     return states, robust, cost, iterations + more
 
 
-def _limits(model: Model, nis: Array) -> Array:
-    """The gate (rows,) of every position; that of fixes is widened where more than some exceed."""
+def _alone(model: Model, states: States, P: Array) -> NDArray[np.bool_]:
+    """Which of the positions (rows,) are candidates that pass the gate while no other of the frame
+    does; P is the covariance of what they measure as predicted without them."""
+    p, n = model.positions, len(P)
+    nis = noise.nis(position_errors(model, states, np.arange(n)), P + model.cov_m2[:n])
+    gates = np.array([source.gate_nis for source in model.sources])
+    fits = p.candidates[:n] & (nis <= gates[p.source[:n]])
+    return np.asarray(fits & (np.bincount(p.frame[:n], fits)[p.frame[:n]] == 1))
+
+
+def _wait(model: Model, robust: Robustness) -> bool:
+    """Whether there are candidates, and none is in."""
+    among = model.positions.candidates[: len(robust.gated)]
+    return bool(among.any()) and bool(robust.gated[among].all())
+
+
+def _limits(model: Model, told: Mapping[str, LeftOut]) -> dict[str, Array]:
+    """The gate of every position (rows,), and of each of the vehicle's own sources; those of fixes
+    and of the vehicle are widened where more than some exceed them."""
     gates = np.array([source.gate_nis for source in model.sources])
     limits = gates[model.positions.source]
-    fixes = model.guides
+    fixes, nis = model.guides, told[POSITIONS].nis
     gate = np.sqrt(model.sources[0].gate_nis)
     limits[fixes] *= _widening(gate, np.sqrt(nis[fixes])) ** 2
-    return limits
+    of_all = {POSITIONS: limits}
+    for source in model.car.rows_of:
+        one = told[source]
+        gate = np.sqrt(model.car.limit(source, one.error.shape[1]))
+        of_all[source] = np.array(gate * _widening(gate, np.sqrt(one.nis))) ** 2
+    return of_all
 
 
 def _gated(model: Model, nis: Array, limits: Array) -> NDArray[np.bool_]:
@@ -157,6 +214,16 @@ def _gated(model: Model, nis: Array, limits: Array) -> NDArray[np.bool_]:
     return gated
 
 
+def _unheld(told: Mapping[str, LeftOut], limits: Mapping[str, Array]) -> dict[str, frozenset[int]]:
+    """The keyframes at which each of the vehicle's own sources does not fit all others."""
+    out = {
+        source: frozenset(one.keys[one.nis > limits[source]].tolist())
+        for source, one in told.items()
+        if source != POSITIONS
+    }
+    return {source: keys for source, keys in out.items() if keys}
+
+
 def _widening(sigmas: float, values: Array) -> float:
     """By what a threshold must grow for no more than `MOST_OUTLIERS` of the values to exceed it."""
     exceeded = float(np.quantile(values, 1 - MOST_OUTLIERS))
@@ -164,11 +231,11 @@ def _widening(sigmas: float, values: Array) -> float:
 
 
 def _remarks(
-    model: Model, solver: Solver, robust: Robustness, limits: Array, *, settled: bool
+    model: Model, solver: Solver, robust: Robustness, limits: Mapping[str, Array], *, settled: bool
 ) -> tuple[Event, ...]:
     """What a user should know of the solution and of noise that is not what the drive says."""
     texts, loss_width = [], model.config.gnss.loss_width
-    gate_nis, stated = float(limits[model.guides[0]]), model.sources[0].gate_nis
+    gate_nis, stated = float(limits[POSITIONS][model.guides[0]]), model.sources[0].gate_nis
     if loss_width < robust.loss_width < np.inf:
         texts.append(f"loss from {robust.loss_width:.3g} on instead of {loss_width:g}")
     if gate_nis > stated:
@@ -194,12 +261,12 @@ def _solver(model: Model, prior: Guess, deltas: imu.ImuDeltas) -> Solver:
     """The chain, unless the configuration asks for GTSAM."""
     if model.config.solver.batch == "banded":
         return Chain(model, prior, deltas)
-    if model.config.clock.estimate != "none":
+    if model.config.clock.estimate:
         raise ConfigError("clock.estimate goes with solver.batch = banded, not with gtsam")
     from fgloc.smoother.graph import GraphModel
     from fgloc.smoother.whole import Whole
 
-    return Whole(GraphModel(model.drive, model.plan, model.config), prior)
+    return Whole(GraphModel(model.drive, model.plan, model.config), prior, deltas)
 
 
 def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
@@ -208,33 +275,30 @@ def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
     begin = solver.first(n)
 
     def cost(turned: Guess) -> float:
-        return _settle(model, begin, States.of(turned, model).first(n))[2]
+        return _settle(model, begin, States.of(turned, model).first(n), join=False)[2]
 
     return choose_yaw(start, len(model.fixed(0, n)) + model.car.worth(0, n), cost)
 
 
-def _leave_one_out(
-    model: Model, states: States, P: Array, robust: Robustness
-) -> tuple[Array, Array]:
-    """NIS (rows,) of every position against all others, and its weight (rows,) under the loss.
-
-    With P the posterior of the position's prediction, R_w its covariance as it was weighted and r
-    the residual, the prediction without it has the error R_w (R_w - P)^-1 r and the covariance
-    R_w (R_w - P)^-1 R_w - R_w. NIS is 0 where the position is all that holds the state.
-    """
+def _positions(model: Model, states: States, P: Array, robust: Robustness) -> LeftOut:
+    """Every position as all others predict it, from the covariances (rows, 3, 3) of predictions."""
     R, error = model.cov_m2, position_errors(model, states, np.arange(len(P)))
     weight = _weights(model, np.sqrt(noise.nis(error, R)), robust.loss_width)
-    R_w = R / weight[:, None, None]
-    kept = ~robust.gated
-    spread, left_out = P.copy(), error.copy()
-    rest = R_w[kept] - P[kept]
-    gain = R_w[kept] @ np.linalg.inv(rest)
-    left_out[kept] = np.einsum("nij,nj->ni", gain, error[kept])
-    spread[kept] = gain @ R_w[kept] - R_w[kept]
-    result = noise.nis(left_out, spread + R)
-    informed = np.ones(len(P), bool)
-    informed[kept] = np.linalg.eigvalsh(rest)[:, 0] > 1e-9 * R_w[kept].trace(axis1=1, axis2=2)
-    return np.where(informed, result, 0.0), weight
+    return leave_out(model.key_of, error, P, R, weight, ~robust.gated)
+
+
+def _held(
+    model: Model, solver: Solver, states: States, spread: Spread, robust: Robustness
+) -> dict[str, LeftOut]:
+    """What each of the vehicle's own sources says as all others predict it, whitened."""
+    told = {}
+    for source, keys in model.car.keys_of.items():
+        term = solver.held_term(source, states, keys)
+        own = np.broadcast_to(np.eye(term.error.shape[1]), spread.held[source].shape)
+        weight = noise.weight(np.linalg.norm(term.error, axis=1), "huber", term.width)
+        kept = np.isin(keys, robust.holds(source, keys))
+        told[source] = leave_out(keys, term.error, spread.held[source], own, weight, kept)
+    return told
 
 
 def _weights(model: Model, norm: Array, fix_width: float) -> Array:
@@ -248,9 +312,9 @@ def _weights(model: Model, norm: Array, fix_width: float) -> Array:
     return weight
 
 
-def _judge(model: Model, robust: Robustness, nis: Array, limits: Array, weight: Array) -> None:
+def _judge(model: Model, robust: Robustness, told: LeftOut, limits: Array) -> None:
     """Write the verdicts on the positions that had a keyframe."""
-    p = model.positions
+    p, nis, weight = model.positions, told.nis, told.weight
     dof = np.array([source.dof for source in model.sources])[p.source]
     for table, among in ((GNSS, ~p.candidates), (DETECTIONS, p.candidates)):
         if not among.any():

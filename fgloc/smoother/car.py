@@ -4,6 +4,8 @@ What all of them share is the calibration (3,): pitch and yaw in rad from the ve
 those that the car follows, and the scale of the wheels.
 """
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,9 @@ from fgloc.constraints import NON_HOLONOMIC, STANDSTILL, wheel_of, wheel_source
 from fgloc.drive import Drive, Noise
 from fgloc.factors import noise, vehicle
 from fgloc.measurements import Array
+from fgloc.smoother import velocities
+from fgloc.smoother.left_out import LeftOut
+from fgloc.smoother.lines import slopes
 from fgloc.smoother.velocities import Velocities
 from fgloc.sync import Plan
 from fgloc.verdicts import Verdict
@@ -35,6 +40,7 @@ class Car:
         self.wheels, self.wheel_source = wheel_of(drive), wheel_source(drive)
         self.velocities = Velocities(drive, plan, config.gnss)
         self.wheel_row = held.wheel_row[at]
+        self.speed_mps, self.speed_sigma_mps = self._speeds()
         self.in_force, self.stands = held.in_force[at], held.stands[at]
         self.slip_row = np.where(self.in_force, np.cumsum(self.in_force) - 1, -1)
         self.still_row = np.where(self.stands, np.cumsum(self.stands) - 1, -1)
@@ -51,6 +57,31 @@ class Car:
         self.slip_sigmas_mps = self._slip_sigmas()
         self.pitch_rad = self.config.pitch_rad_per_mps2 * held.ahead_mps2[at]
         self.acts = bool(self.in_force.any())
+
+    @cached_property
+    def wheel_slope_mps2(self) -> Array:
+        """How fast the wheels' speed changes (n,) at the keyframes that have one, else 0."""
+        slope = np.zeros(len(self.wheel_row))
+        if self.wheels is not None:
+            at = np.flatnonzero(self.wheel_row >= 0)
+            told = slopes(self.wheels.t_ns, self.wheels.speed_mps[:, None])[:, 0]
+            slope[at] = told[self.wheel_row[at]]
+        return slope
+
+    @cached_property
+    def rows_of(self) -> dict[str, NDArray[np.int64]]:
+        """Of each of the vehicle's own sources in use, its row (n,) at keyframes; -1 for none."""
+        rows = {
+            NON_HOLONOMIC: np.where(bool(self.config.non_holonomic), self.slip_row, -1),
+            self.wheel_source: self.wheel_row, STANDSTILL: self.still_row,
+            velocities.SOURCE: self.velocities.row,
+        }  # fmt: skip
+        return {source: row for source, row in rows.items() if (row >= 0).any()}
+
+    @cached_property
+    def keys_of(self) -> dict[str, NDArray[np.int64]]:
+        """The keyframes at which each of them tells something."""
+        return {source: np.flatnonzero(row >= 0) for source, row in self.rows_of.items()}
 
     def worth(self, first: int, stop: int) -> int:
         """How many fixes have as many numbers as the velocities of keyframes first..stop - 1 and,
@@ -71,24 +102,24 @@ class Car:
         return told | ({"wheel_scale": float(self.found[2])} if (self.wheel_row >= 0).any() else {})
 
     def wheel_fits(
-        self, j: int, R: Array, v: Array, bias: Array, calibration: Array, cov: Array
+        self, j: int, R: Array, v: Array, bias: Array, cov: Array, calibration_cov: Array
     ) -> bool:  # fmt: skip
         """Gate the wheel speed at keyframe j against a state with the covariance `cov` (9, 9) of
-        pose and velocity, and note its verdict; the wheels' scale counts as known beforehand."""
-        speed, sigma = self.speed(j)
+        pose and velocity, and a calibration (3, 3) that is as well known; note its verdict."""
+        speed, sigma = float(self.speed_mps[j]), float(self.speed_sigma_mps[j])
         u = vehicle.body_velocity(R[None], v[None], self.rate_radps[[j]], bias[None], self.arm)
-        turn = self.turn(calibration)
-        told = vehicle.wheel(u, turn[j], calibration[2], np.array([speed]))
+        told = vehicle.wheel(u, self.turn(self.found)[j], self.found[2], np.array([speed]))
         H = np.concatenate([told.by_pose[0], told.by_velocity[0]], axis=1)
-        spread = sigma**2 + (self.config.scale_sigma * speed) ** 2
-        nis = float(noise.nis(told.error[0], H @ cov @ H.T + spread))
+        M = np.concatenate([told.by_mounting[0], told.by_scale[0]], axis=1)
+        S = H @ cov @ H.T + M @ calibration_cov @ M.T + sigma**2
+        nis = float(noise.nis(told.error[0], S))
         return self._gate(self.wheel_source, int(self.wheel_row[j]), nis, 1)
 
     def note_slip(
-        self, j: int, R: Array, v: Array, bias: Array, cov: Array, mounting_cov: Array
+        self, j: int, R: Array, v: Array, bias: Array, cov: Array, calibration_cov: Array
     ) -> None:  # fmt: skip
         """Note the NIS of the non-holonomic constraint at keyframe j against a state with the
-        covariance `cov` (9, 9) of pose and velocity, and a mounting (2, 2) that is as well known.
+        covariance `cov` (9, 9) of pose and velocity, and a calibration (3, 3) as well known.
 
         There is no gate: the constraint is nobody's measurement, and its loss weighs it down.
         """
@@ -97,7 +128,11 @@ class Car:
         u = vehicle.body_velocity(R[None], v[None], self.rate_radps[[j]], bias[None], self.arm)
         told = vehicle.non_holonomic(u, self.turn(self.found)[j])
         H, M = np.concatenate([told.by_pose[0], told.by_velocity[0]], 1), told.by_mounting[0]
-        S = H @ cov @ H.T + M @ mounting_cov @ M.T + np.diag(self.slip_sigmas_mps[j] ** 2)
+        S = (
+            H @ cov @ H.T
+            + M @ calibration_cov[:2, :2] @ M.T
+            + np.diag(self.slip_sigmas_mps[j] ** 2)
+        )
         own, row = self.verdicts[NON_HOLONOMIC], int(self.slip_row[j])
         own.nis[row], own.dof[row] = float(noise.nis(told.error[0], S)), 2
 
@@ -115,34 +150,25 @@ class Car:
         verdicts.set(row, Verdict.USED if fits else Verdict.GATED, reason)
         return fits
 
-    def judge(self, R: Array, v: Array, bias: Array, calibration: Array) -> None:
-        """Verdicts of a graph that was solved at once: what the losses weigh down, and the rest."""
-        u = vehicle.body_velocity(R, v, self.rate_radps, bias, self.arm)
-        self.found = calibration
-        turn = self.turn(calibration)
-        if self.config.non_holonomic:
-            at = np.flatnonzero(self.in_force)
-            slip = vehicle.non_holonomic(u, turn).error[at] / self.slip_sigmas_mps[at]
-            self._weigh(NON_HOLONOMIC, self.slip_row[at], slip, SLIP_WIDTH)
-        self.velocities.judge(v)
-        if self.wheels is not None and (self.wheel_row >= 0).any():
-            at = np.flatnonzero(self.wheel_row >= 0)
-            rows = self.wheel_row[at]
-            speed, sigma = np.zeros(len(R)), self.wheels.sigma_mps[rows]
-            speed[at] = self.wheels.speed_mps[rows]
-            miss = vehicle.wheel(u, turn, calibration[2], speed).error[at] / sigma[:, None]
-            self._weigh(self.wheel_source, rows, miss, WHEEL_WIDTH)
-        if self.stands.any():
-            at = np.flatnonzero(self.stands)
-            self._weigh(STANDSTILL, self.still_row[at], v[at] / self.config.still_speed_mps,
-                        STILL_WIDTH)  # fmt: skip
+    def limit(self, source: str, dof: int) -> float:
+        """The gate of one of its sources; none for the constraint that nobody measured, which its
+        loss weighs down."""
+        if source == NON_HOLONOMIC:
+            return np.inf
+        return chi2_quantile(self.gnss.gate_probability, dof) * self.gnss.gate_slack**2
 
-    def _weigh(self, source: str, rows: NDArray[np.int64], whitened: Array, width: float) -> None:
-        weight = noise.weight(np.linalg.norm(whitened, axis=1), "huber", width)
-        verdicts = self.verdicts[source]
-        verdicts.set(rows, Verdict.USED)
-        for row, w in zip(rows[weight < 1], weight[weight < 1], strict=True):
-            verdicts.set(row, Verdict.DOWN_WEIGHTED, f"huber weight {w:.3g}")
+    def judge(self, source: str, told: LeftOut, limit: float, out: frozenset[int]) -> None:
+        """Verdicts of a graph that was solved at once: what was left out at some keyframes, what
+        the loss weighs down, and the rest."""
+        own, rows = self.verdicts[source], self.rows_of[source][told.keys]
+        own.nis[rows], own.dof[rows] = told.nis, told.error.shape[1]
+        own.threshold[rows] = limit if np.isfinite(limit) else np.nan
+        own.set(rows, Verdict.USED)
+        light = told.weight < 1
+        for row, weight in zip(rows[light], told.weight[light], strict=True):
+            own.set(row, Verdict.DOWN_WEIGHTED, f"huber weight {weight:.3g}")
+        gated = rows[np.isin(told.keys, list(out))]
+        own.set(gated, Verdict.GATED, "does not fit all other measurements")
 
     def _slip_sigmas(self) -> Array:
         """Standard deviations (n, 2) of the speed to the left and up; none where not asked for."""
@@ -155,8 +181,12 @@ class Car:
         """Turn (n, 2) from the vehicle's axes to the car's at each keyframe: pitch and yaw, rad."""
         return calibration[:2] + np.outer(self.pitch_rad, [1.0, 0.0])
 
-    def speed(self, j: int) -> tuple[float, float]:
-        """The wheel speed at keyframe j and its sigma, m/s."""
-        assert self.wheels is not None
-        row = self.wheel_row[j]
-        return float(self.wheels.speed_mps[row]), float(self.wheels.sigma_mps[row])
+    def _speeds(self) -> tuple[Array, Array]:
+        """Wheel speeds (n,) at the keyframes and their sigmas, m/s; 0 and 1 where there is none."""
+        speed, sigma = np.zeros(len(self.wheel_row)), np.ones(len(self.wheel_row))
+        at = np.flatnonzero(self.wheel_row >= 0)
+        if self.wheels is not None:
+            rows = self.wheel_row[at]
+            speed[at] = self.wheels.speed_mps[rows]
+            sigma[at] = self.config.wheel_sigma_scale * self.wheels.sigma_mps[rows]
+        return speed, sigma

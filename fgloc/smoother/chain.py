@@ -7,28 +7,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.errors import SolverError
-from fgloc.factors import noise
+from fgloc.factors import imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
-from fgloc.smoother import sketch
+from fgloc.smoother import clocks, sketch
 from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
 from fgloc.smoother.guess import misfit
 from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
-from fgloc.smoother.states import Robustness, SharedSigmas, States
-from fgloc.smoother.terms import (
-    BIAS,
-    POSE,
-    VELOCITY,
-    Term,
-    Terms,
-    late_residual,
-    late_source,
-    position_residual,
-)
+from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
+from fgloc.smoother.term import BIAS, POSE, VELOCITY, Term
+from fgloc.smoother.terms import Terms, late_residual, position_residual
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 512
+BLOCKS_AT_ONCE = 1024
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
@@ -37,6 +29,7 @@ class Chain(Terms):
 
     converged = True
     _last: tuple[States, Robustness, BorderedFactor] | None = None
+    _sketched: tuple["Chain", States] | None = None
 
     @cached_property
     def damping(self) -> Vector:
@@ -49,9 +42,9 @@ class Chain(Terms):
         scale = np.array([1.0] * 9 + [*self.model.bias_sigmas, *slow])
         swaying = self.model.swaying
         own = np.append(scale**-2, swaying.damping if swaying.slots else [])
-        border = np.ones(self.shared)
+        border = np.ones(self.border.size)
         if self.model.car.acts:
-            border[self.car_at] = self.model.car.calibration_sigmas**-2
+            border[self.border.car] = self.model.car.calibration_sigmas**-2
         return Vector(own, border)
 
     def first(self, n: int) -> "Chain":
@@ -67,7 +60,7 @@ class Chain(Terms):
         Raises SolverError that names the state and its time.
         """
         self._last = None
-        if rough and (sketched := self._sketch(states)) is not None:
+        if rough and (sketched := self._sketch(states, robust)) is not None:
             return sketched
         solver = self.model.config.solver
         descent = Descent(self, robust, solver.max_iterations)
@@ -84,13 +77,13 @@ class Chain(Terms):
             self._last = result, robust, descent.factor
         return result, cost, descent.iterations
 
-    def _sketch(self, states: States) -> tuple[States, float, int] | None:
+    def _sketch(self, states: States, robust: Robustness) -> tuple[States, float, int] | None:
         """States, cost and iterations of a sketch, or None where there is none that fits."""
-        keys = sketch.few_keyframes(self.model, self.n)
-        if keys is None:
+        if self._few is None:
             return None
-        model = sketch.few_model(self.model, keys)
-        few = Chain(model, self._prior, sketch.few_deltas(self.deltas, keys))
+        keys, deltas = self._few
+        model = sketch.few_model(self.model, keys, robust.gated)
+        few = Chain(model, self._prior, deltas)
         nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
         try:
             # A sketch has no posts: nothing that it holds tells of them.
@@ -100,9 +93,32 @@ class Chain(Terms):
             return None
         if not cost <= misfit(few.rows):
             return None
-        g = model.gravity_mps2
+        self._sketched = few, found
+        g = self.model.gravity_mps2
         drawn = sketch.all_states(found, keys, self.deltas, self.bias_of, g)
         return replace(drawn, posts=states.posts), cost, iterations
+
+    @cached_property
+    def _few(self) -> tuple[NDArray[np.int64], imu.ImuDeltas] | None:
+        """The keyframes of a sketch and the IMU between them, where a sketch is worth it."""
+        keys = sketch.few_keyframes(self.model, self.n)
+        return None if keys is None else (keys, sketch.few_deltas(self.deltas, keys))
+
+    def rough_predictions(self, states: States) -> Array | None:
+        """Covariances (rows, 3, 3) in m^2 of what the positions measure as predicted, about: from
+        the last sketch. None where there is none, or where more than the pose has a part in it."""
+        if self._few is None or self._sketched is None or self.border.size or self.width > 15:
+            return None
+        (keys, _), (few, found) = self._few, self._sketched
+        nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
+        cov = few.covariances(found, nothing).poses
+        at = np.searchsorted(keys, self.key_of, side="right") - 1
+        predicted = np.empty((self.rows, 3, 3))
+        for s in np.unique(self.source).tolist():
+            rows = np.flatnonzero(self.source == s)
+            J = position_residual(self.model, states, rows, s).by_pose
+            predicted[rows] = J @ cov[at[rows]] @ J.swapaxes(-1, -2)
+        return predicted
 
     def moved(self, states: States, back: Vector) -> States:
         """The states after a step back along a vector of their tangents; copies stay alike."""
@@ -110,28 +126,28 @@ class Chain(Terms):
         first = np.searchsorted(self.bias_of, self.bias_of)
         calibration = states.calibration
         if self.model.car.acts:
-            calibration = calibration - back.border[self.car_at]
+            calibration = calibration - back.border[self.border.car]
         return States(
             states.R @ exp_so3(step[:, :3]),
             states.p + np.einsum("nij,nj->ni", states.R, step[:, 3:6]),
             states.v + step[:, VELOCITY],
             states.bias + step[first][:, BIAS],
             states.slow + step[:, 15 : self.post_first],
-            states.late_s - float(back.border[self.late].sum()),
+            states.late_s - back.border[self.border.late],
             calibration,
-            states.offset - (back.border[self.offset_at] if self._estimates_offset else 0.0),
+            states.offset - (back.border[self.border.offset] if self._estimates_offset else 0.0),
             self._resurveyed(states.survey, back.border),
             states.posts + step[:, self.post_first :],
         )
 
     @property
     def _estimates_offset(self) -> bool:
-        return self.offset_at.start < self.offset_at.stop
+        return self.border.offset.start < self.border.offset.stop
 
     def _resurveyed(self, survey: Array, back: Array) -> Array:
         """What the surveys are off after a step back."""
         moved = survey.copy()
-        for s, at in self.survey_at.items():
+        for s, at in self.border.survey.items():
             moved[s] -= back[at]
         return moved
 
@@ -144,7 +160,7 @@ class Chain(Terms):
         near, or of reweighted least squares ("weights"), which never climbs far and is what
         covariances are taken from.
         """
-        cost, band = 0.0, Band(self.n, self.width, self.shared)
+        cost, band = 0.0, Band(self.n, self.width, self.border.size)
         for first in range(0, self.n, BLOCKS_AT_ONCE):
             for term in self.at(states, robust, first, min(first + BLOCKS_AT_ONCE, self.n)):
                 J, e = term.jacobian, term.error
@@ -156,9 +172,7 @@ class Chain(Terms):
                     value = float((e * e).sum()) / 2
                     gradient = np.matmul(e[:, None], J)[:, 0]
                 cost += value
-                # As a stack of its own: numpy's product of a mere view takes several times as long.
-                back = np.ascontiguousarray(J.swapaxes(-1, -2))
-                band.add(term.blocks, term.at, back @ J, gradient)
+                band.add(term.blocks, term.at, J, gradient)
         self._share_biases(band.gradient.blocks)
         return cost, band
 
@@ -169,26 +183,25 @@ class Chain(Terms):
         gradient[:, BIAS] = 0
         gradient[first[:, None], BIAS] = total
 
-    def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
-        """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
+    def covariances(self, states: States, robust: Robustness) -> Spread:
+        """Of the poses, and of what the positions and the vehicle's own sources measure."""
         factor = self._factor(states, robust)
         kinds = {s: np.flatnonzero(self.source == s) for s in np.unique(self.source).tolist()}
         terms = {s: self._positions(states, s, rows, np.inf) for s, rows in kinds.items()}
-        at = np.unique(np.concatenate([POSE, *(term.at for term in terms.values())]))
-        cov = factor.inverse_blocks(at)
-        across = factor.inverse_border(at) if self.shared else np.zeros((self.n, len(at), 0))
+        held = {name: self.held.term(name, states, at)
+                for name, at in self.held_keys(0, self.n).items()}  # fmt: skip
+        at = np.unique(np.concatenate([POSE, *(t.at for t in (*terms.values(), *held.values()))]))
+        known = Known(factor, at)
         predicted = np.empty((self.rows, 3, 3))
         for s, term in terms.items():
-            own = np.searchsorted(at, term.at)
-            J, keys = term.jacobian, self.key_of[kinds[s]]
-            known = cov[keys][:, own[:, None], own]
-            if J.shape[2] > len(own):  # it also depends on what the drive shares
-                side = across[keys][:, own]
-                shared = np.broadcast_to(factor.cov_border, (len(keys), *factor.cov_border.shape))
-                known = np.block([[known, side], [side.swapaxes(-1, -2), shared]])
-            L = np.linalg.inv(self._whiten_position[kinds[s]])
-            predicted[kinds[s]] = L @ (J @ known @ J.swapaxes(-1, -2)) @ L.swapaxes(-1, -2)
-        return cov[:, :6, :6], predicted
+            L = np.linalg.cholesky(self.model.cov_m2[kinds[s]])
+            predicted[kinds[s]] = L @ known.predicted(term) @ L.swapaxes(-1, -2)
+        by_source = {name: known.predicted(term) for name, term in held.items()}
+        return Spread(known.blocks[:, :6, :6], predicted, by_source)
+
+    def held_term(self, source: str, states: States, at: NDArray[np.int64]) -> Term:
+        """What one of the vehicle's own sources says at some keyframes."""
+        return self.held.term(source, states, at)
 
     def post_covariances(self, states: States, robust: Robustness) -> Array:
         """Of the posts' states, those of all slots together (n, q, q)."""
@@ -197,13 +210,13 @@ class Chain(Terms):
 
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """Of what the drive shares and this graph estimates."""
-        if not self.shared:
+        if not self.border.size:
             return SharedSigmas()
         sigma = np.sqrt(np.diagonal(self._factor(states, robust).cov_border))
         return SharedSigmas(
-            float(sigma[0]) if self.late.stop else None,
-            sigma[self.offset_at] if self._estimates_offset else None,
-            {s: sigma[at] for s, at in self.survey_at.items()},
+            sigma[self.border.late],
+            sigma[self.border.offset] if self._estimates_offset else None,
+            {s: sigma[at] for s, at in self.border.survey.items()},
         )
 
     def _factor(self, states: States, robust: Robustness) -> BorderedFactor:
@@ -235,13 +248,31 @@ class Chain(Terms):
         )
 
 
+class Known:
+    """Covariances of the unknowns `at` (q,) of every block, and of the border."""
+
+    def __init__(self, factor: BorderedFactor, at: NDArray[np.int64]) -> None:
+        self.at, self.blocks = at, factor.inverse_blocks(at)
+        self._across, self._border = factor.inverse_border(at), factor.cov_border
+
+    def predicted(self, term: Term) -> Array:
+        """Covariance (M, m, m) of what a term within blocks says, whitened."""
+        own, keys, J = np.searchsorted(self.at, term.at), term.blocks, term.jacobian
+        known = self.blocks[keys][:, own[:, None], own]
+        if J.shape[2] > len(own):  # it also depends on what the drive shares
+            side = self._across[keys][:, own]
+            shared = np.broadcast_to(self._border, (len(keys), *self._border.shape))
+            known = np.block([[known, side], [side.swapaxes(-1, -2), shared]])
+        return np.asarray(J @ known @ J.swapaxes(-1, -2))
+
+
 def position_errors(model: Model, states: States, rows: NDArray[np.int64]) -> Array:
     """Predicted minus measured positions (m, 3) of some rows, ENU m, lateness and all."""
     error, source = np.empty((len(rows), 3)), model.positions.source[rows]
     for s in np.unique(source).tolist():
         own = np.flatnonzero(source == s)
         told = position_residual(model, states, rows[own], s)
-        late = late_source(model, s) and states.late_s != 0
+        late = len(clocks.acting(model.config, model.sources[s].table)) and states.late_s.any()
         error[own] = late_residual(model, states, rows[own], s, told).error if late else told.error
     return error
 
@@ -257,6 +288,8 @@ def _loss(term: Term) -> tuple[float, Array, Array]:
 
 def _bent(J: Array, error: Array, across: Array, along: Array) -> Array:
     """Jacobians whose square has weights (M, 1) across the error's direction and along it."""
+    if along is across:
+        return np.asarray(np.sqrt(across)[..., None] * J)
     norm = np.linalg.norm(error, axis=-1, keepdims=True)
     direction = error / np.maximum(norm, 1e-300)
     shrink = np.sqrt(across) - np.sqrt(np.maximum(along, 0))

@@ -18,7 +18,7 @@ from fgloc.correspondence.tracks import Epochs, track_objects
 from fgloc.drive import Drive
 from fgloc.errors import InputError, SolverError
 from fgloc.infrastructure import Node
-from fgloc.measurements import Array, NodeDetections, RelativeSightings
+from fgloc.measurements import Array
 from fgloc.result import Result
 from fgloc.smoother.cooperative_model import (
     Builder,
@@ -49,12 +49,6 @@ class Beliefs:
         """The belief of one track at one instant."""
         at = slice(4 * track, 4 * track + 4)
         self.x[k][at], self.P[k][at, at], self.born[k][track] = mean, (cov + cov.T) / 2, True
-
-
-def is_cooperative(drive: Drive) -> bool:
-    """Whether a drive is of several road users, seen by nodes, rather than of one car."""
-    others = drive.objects is not None or RelativeSightings.KIND in drive.tables
-    return others and NodeDetections.KIND in drive.tables and "imu" not in drive.tables
 
 
 def run_cooperative(drive: Drive, config: SmoothConfig) -> Result:

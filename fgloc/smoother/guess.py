@@ -9,9 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc import frames
 from fgloc.measurements import Array
+from fgloc.smoother.lines import Lines
 from fgloc.smoother.model import Model
 
 HALF_WINDOW_S = 1.0
@@ -52,25 +54,43 @@ class Guess:
 def guess(model: Model, first: int, last: int, turn_rad: Array) -> Guess:
     """Values of keyframes first..last from the fixes and the gyro among them.
 
-    `turn_rad` (n,) is the yaw that the gyro alone gives, as from `gyro_yaw`.
+    `turn_rad` (n,) is the yaw but for a constant, as from `yaw_by_turns`. Velocities that the drive
+    has are taken instead of those of the fixes.
     """
     keys = np.arange(first, last + 1)
     rows = model.fixed(first, last + 1)
-    with_fix = model.key_of[rows]
-    t, z = model.t_s[with_fix], model.positions.z_world_m[rows]
-    sigma = np.sqrt(model.cov_m2[rows][:, :2, :2].trace(axis1=1, axis2=2) / 2)
-    v, sigma_v = _slopes(t, z, sigma)
-    at = model.t_s[keys]
-    speed = np.linalg.norm(v[:, :2], axis=1)
-    good = speed > np.maximum(MIN_SPEED_MPS, SPEED_SIGMAS * sigma_v)
+    t, z, at = model.t_s[model.key_of[rows]], model.positions.z_world_m[rows], model.t_s[keys]
+    told, v, sigma_v = _velocities(model, first, last, rows)
+    good = is_course(v, sigma_v)
     yaw = turn_rad[keys].copy()
     if good.any():
         course = np.arctan2(v[good, 1], v[good, 0])
-        offset = course - turn_rad[with_fix[good]]
-        yaw += _smooth_angle(t[good], offset, (speed[good] / sigma_v[good]) ** 2, at)
+        weight = (v[good, :2] ** 2).sum(1) / sigma_v[good] ** 2
+        offset = course - turn_rad[told[good]]
+        yaw += _smooth_angle(model.t_s[told[good]], offset, weight, at)
     R = frames.yaw_matrix(yaw)
     p = _interpolate(at, t, z) - R @ model.levers[model.positions.source[rows[0]]]
-    return Guess(first, R, p, _interpolate(at, t, v), bool(good.any()))
+    return Guess(first, R, p, _interpolate(at, model.t_s[told], v), bool(good.any()))
+
+
+def is_course(v_world_mps: Array, sigma_mps: Array) -> NDArray[np.bool_]:
+    """Whether velocities (n, 3) with sigmas (n,) on an axis are fast enough to tell a course."""
+    speed = np.linalg.norm(v_world_mps[:, :2], axis=1)
+    return np.asarray(speed > np.maximum(MIN_SPEED_MPS, SPEED_SIGMAS * sigma_mps))
+
+
+def _velocities(
+    model: Model, first: int, last: int, rows: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], Array, Array]:
+    """Keyframes with a velocity, the velocities (n, 3), and their sigmas (n,) on an axis: those of
+    the drive among keyframes first..last, or the slopes of the fixes of some rows."""
+    velocities = model.car.velocities
+    own = velocities.keys[(first <= velocities.keys) & (velocities.keys <= last)]
+    if len(own):
+        return own, velocities.v_world_mps[own], velocities.sigma_mps[own]
+    with_fix = model.key_of[rows]
+    sigma = np.sqrt(model.cov_m2[rows][:, :2, :2].trace(axis1=1, axis2=2) / 2)
+    return with_fix, *_slopes(model.t_s[with_fix], model.positions.z_world_m[rows], sigma)
 
 
 def misfit(fixes: int) -> float:
@@ -102,8 +122,15 @@ def choose_yaw(guess: Guess, fixes: int, cost: Callable[[Guess], float]) -> Gues
     return best
 
 
-def gyro_yaw(model: Model) -> Array:
-    """Yaw (n,) in rad at every keyframe from the gyro about the vehicle's vertical alone."""
+def yaw_by_turns(model: Model) -> Array:
+    """Yaw (n,) in rad at every keyframe, but for a constant, from the gyro about the vehicle's
+    vertical alone; by the course of its velocities where nobody tells how it turns."""
+    velocities = model.car.velocities
+    v = velocities.v_world_mps[velocities.keys]
+    good = is_course(v, velocities.sigma_mps[velocities.keys])
+    if model.plan.motion.forgets_yaw and good.any():
+        course = np.unwrap(np.arctan2(v[good, 1], v[good, 0]))
+        return np.interp(model.t_s, model.t_s[velocities.keys[good]], course)
     epochs = model.epochs
     total = np.concatenate([[0.0], np.cumsum(epochs.gyro_radps[:, 2] * epochs.dt_s)])
     return total[epochs.first_sample[model.epoch_of + 1]]
@@ -111,20 +138,9 @@ def gyro_yaw(model: Model) -> Array:
 
 def _slopes(t: Array, z: Array, sigma: Array) -> tuple[Array, Array]:
     """Velocity (n, 3) and its horizontal sigma (n,) from lines through neighbouring fixes."""
-    n = len(t)
-    half = max(HALF_WINDOW_S, 1.01 * float(np.median(np.diff(t)))) if n > 1 else HALF_WINDOW_S
-    low = np.minimum(np.searchsorted(t, t - half), np.maximum(np.arange(n) - 1, 0))
-    high = np.maximum(np.searchsorted(t, t + half, side="right"), np.minimum(np.arange(n) + 2, n))
-    count = high - low
-
-    def window(column: Array) -> Array:
-        total = np.concatenate([np.zeros((1, *column.shape[1:])), np.cumsum(column, axis=0)])
-        return total[high] - total[low]
-
-    zero = z - z[0]
-    spread = np.maximum(window(t**2) - window(t) ** 2 / count, 1e-9)
-    v = (window(t[:, None] * zero) - (window(t) / count)[:, None] * window(zero)) / spread[:, None]
-    return v, np.sqrt(window(sigma**2) / count / spread)
+    half = max(HALF_WINDOW_S, 1.01 * float(np.median(np.diff(t)))) if len(t) > 1 else HALF_WINDOW_S
+    lines = Lines(t, half)
+    return lines.slope(z), np.sqrt(lines.mean(sigma**2) / lines.spread)
 
 
 def _smooth_angle(t: Array, angle: Array, weight: Array, at: Array) -> Array:

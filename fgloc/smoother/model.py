@@ -19,6 +19,7 @@ from fgloc.factors.preintegration import preintegrate
 from fgloc.frames import skew
 from fgloc.measurements import Array
 from fgloc.positions import position_sources
+from fgloc.smoother import velocities
 from fgloc.smoother.car import Car
 from fgloc.smoother.swaying import Swaying, occurrence
 from fgloc.sync import Plan
@@ -61,7 +62,8 @@ class Model:
         gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
         self.gravity_mps2 = 0.0 if plan.motion.is_made_up else gravity_mps2
         self.bias_of, self.bias_t_s = _bias_grid(self.t_s, config.imu.bias_interval_s)
-        self.shifted_s = 0.0  # by how much an estimated lateness has moved the fixes already
+        # By how much estimated latenesses have moved the stamps already.
+        self.shifted_s = np.zeros(len(config.clock.estimate))
         self.car = self._car()
 
     def __len__(self) -> int:
@@ -72,6 +74,16 @@ class Model:
 
     def _swaying(self) -> Swaying:
         return Swaying(self.drive, self.plan.posts, self.t_ns)
+
+    @property
+    def aids(self) -> list[str]:
+        """The clocks of what is in use beside the motion."""
+        rows = self.car.rows_of
+        used = {
+            "gnss": True, "wheel": self.car.wheel_source in rows,
+            "velocity": velocities.SOURCE in rows, "nodes": bool(self.positions.candidates.any()),
+        }  # fmt: skip
+        return [name for name, use in used.items() if use]
 
     @cached_property
     def guides(self) -> NDArray[np.int64]:
@@ -166,8 +178,8 @@ def _imu_noise(drive: Drive, config: SmoothConfig) -> ImuNoise:
 def _bias_grid(t_s: Array, interval_s: float) -> tuple[np.ndarray, Array]:
     """Index (n,) of each keyframe's bias, and the time in s (m,) at which each bias begins."""
     index, starts = np.zeros(len(t_s), int), [0.0]
-    for j, t in enumerate(t_s):
+    for j, t in enumerate(t_s.tolist()):
         if t - starts[-1] >= interval_s - 1e-9:
-            starts.append(float(t))
+            starts.append(t)
         index[j] = len(starts) - 1
     return index, np.array(starts)

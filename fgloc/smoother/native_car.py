@@ -9,10 +9,12 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, K, V, W, X, Y, Z
 
+from fgloc.constraints import STANDSTILL
 from fgloc.factors import noise, vehicle, velocity
 from fgloc.measurements import Array
 from fgloc.smoother import velocities
 from fgloc.smoother.car import SLIP_WIDTH, STILL_WIDTH, WHEEL_WIDTH, Car
+from fgloc.smoother.states import Robustness
 
 Factors = list[gtsam.NonlinearFactor]
 
@@ -70,8 +72,8 @@ class NativeCar(Car):
 
     def wheel_factors(self, j: int) -> Factors:
         """The wheel speed at keyframe j, whose axes are in the graph."""
-        speed, sigma = self.speed(j)
-        model = noise.robust(vehicle.wheel_model(sigma), "huber", WHEEL_WIDTH)
+        model = vehicle.wheel_model(float(self.speed_sigma_mps[j]))
+        model, speed = noise.robust(model, "huber", WHEEL_WIDTH), float(self.speed_mps[j])
         return [vehicle.wheel_factor(Y(j), Z(0), X(j), self._point(j), K(0), speed, model)]
 
     def still_factors(self, j: int) -> Factors:
@@ -88,14 +90,15 @@ class NativeCar(Car):
         model = noise.robust(plain, "huber", velocities.WIDTH)
         return [velocity.factor(V(j), told.v_world_mps[j], model)]
 
-    def factors(self, j: int) -> Factors:
-        """All that is known at keyframe j, for a graph that is built at once."""
-        return [
-            *(self.axis_factors(j) if self.in_force[j] else []),
-            *(self.wheel_factors(j) if self.wheel_row[j] >= 0 else []),
-            *(self.still_factors(j) if self.stands[j] else []),
-            *(self.velocity_factors(j) if self.velocities.row[j] >= 0 else []),
-        ]
+    def factors(self, j: int, robust: Robustness) -> Factors:
+        """All that is known at keyframe j and not left out, for a graph that is built at once."""
+        build = {self.wheel_source: self.wheel_factors, STANDSTILL: self.still_factors,
+                 velocities.SOURCE: self.velocity_factors}  # fmt: skip
+        factors = self.axis_factors(j) if self.in_force[j] else []
+        for source, row in self.rows_of.items():
+            if source in build and row[j] >= 0 and j not in robust.unheld.get(source, ()):
+                factors += build[source](j)
+        return factors
 
     def calibration(self, values: gtsam.Values) -> Array:
         """The calibration (3,) as a solution has it."""

@@ -3,8 +3,9 @@
 Each keyframe is one update. What is written for an epoch is the estimate at the moment it was the
 newest: after its update for a keyframe, carried there by the IMU for an output epoch.
 
-Until the fixes show a course the yaw is unknown and nothing is gated; then the past is solved once
-more from the right heading. A solver that fails is replaced by one grown anew over its window.
+Until the fixes or velocities show a course the yaw is unknown and nothing is gated; then the past
+is solved once more from the right heading. A solver that fails is replaced by one grown anew over
+its window.
 """
 
 from collections.abc import Sequence
@@ -13,12 +14,13 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, S, V, X
 
+from fgloc.errors import SolverError
 from fgloc.factors import imu
 from fgloc.measurements import Array
 from fgloc.result import Event
 from fgloc.smoother.dense import fill
 from fgloc.smoother.graph import Factors, GraphModel, Interval, State, read_state
-from fgloc.smoother.guess import Guess, choose_yaw, guess, gyro_yaw, stretch
+from fgloc.smoother.guess import Guess, choose_yaw, guess, stretch, yaw_by_turns
 from fgloc.smoother.model import OBSERVED_YAW_RAD, YAW_SIGMA_RAD
 from fgloc.smoother.online_car import OnlineCar
 from fgloc.smoother.online_positions import OnlinePositions
@@ -42,6 +44,8 @@ ALIGN_WINDOW_S = 60.0
 """Until then it holds this much of the past."""
 ALIGN_SIGMAS, ALIGN_DISTANCE_M, ALIGN_SPAN_S = 8.0, 2.0, 20.0
 """Two fixes show a course when so many sigmas, at least so far and at most so long apart."""
+GROUP = 0.2
+"""What leaves a fixed lag at once, as a share of the lag: it holds up to so much more."""
 EXTRA_UPDATES = 3
 """More iterations where a fix moves the state far, as at the end of an outage."""
 INFLATION = 10.0
@@ -58,7 +62,7 @@ class Online:
         self.bias = np.zeros((len(model), 6))
         self.events: list[Event] = []
         self.yaw_observable_ns: int | None = None
-        self._turn_rad = gyro_yaw(model)
+        self._turn_rad = yaw_by_turns(model)
         self._aligned = False
         self._settled = False
         self._tree = self._new_tree(model.config.solver.factorization)
@@ -155,7 +159,7 @@ class Online:
         self.posts.insert(values, first, j + 1 - first)
         try:
             self._regrow(first, j, self._window(first, j, prior), values, "qr")
-        except RuntimeError as again:
+        except (RuntimeError, SolverError) as again:
             raise problem from again
 
     def _first_prior(self) -> Factors:
@@ -165,11 +169,11 @@ class Online:
         return self.model.prior_factors(0, self._initial_state(), UNKNOWN_YAW_SIGMA_RAD)
 
     def _try_to_align(self, j: int) -> None:
-        """Once the fixes show a course, start the yaw from it and solve the past again."""
+        """Once a course is told, start the yaw from it and solve the past again."""
         model = self.model
         first = self._window_start(j, None if self.lag_s is None else ALIGN_WINDOW_S)
         rows = self._positions.since(first)
-        if not _shows_course(model, rows):
+        if not (self._car.tells_course(first) or _shows_course(model, rows)):
             return
         start = guess(model, first, j, self._turn_rad)
         if not start.yaw_known:
@@ -183,9 +187,7 @@ class Online:
         self.posts.insert(values, first, j + 1 - first)
         self._regrow(first, j, groups, values, model.config.solver.factorization)
         self._aligned = True
-        self._event(
-            j, "aligned", "the fixes show a course: yaw started from it, the past re-solved"
-        )
+        self._event(j, "aligned", "a course is told: yaw started from it, the past re-solved")
 
     def _choose_yaw(self, start: Guess, groups: list[Factors], rows: list[int]) -> Guess:
         """The guess turned to the heading that fits; `groups[k]` are of keyframe first + k."""
@@ -336,7 +338,7 @@ class Online:
         thresholds = self.model.thresholds
         if self.lag_s is None:
             return WholeTree(kind, thresholds)
-        return FixedLagTree(kind, thresholds, self._held_s())
+        return FixedLagTree(kind, thresholds, self._held_s(), GROUP * self.lag_s)
 
     def _note_yaw(self, j: int) -> None:
         """Watch the yaw become observable, and settle."""

@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import B, K, V, X
 from numpy.typing import NDArray
 
 from fgloc.constraints import NON_HOLONOMIC
-from fgloc.factors.vehicle import mounting_covariance, read_calibration
+from fgloc.factors.vehicle import calibration_covariance, read_calibration
 from fgloc.measurements import Array
 from fgloc.smoother.graph import Factors, GraphModel, State
 from fgloc.smoother.online_velocities import OnlineVelocities
@@ -18,7 +18,7 @@ from fgloc.smoother.tree import Stamps, WholeTree
 from fgloc.timing import Instants
 from fgloc.verdicts import Verdict
 
-MOUNTING_S = 1.0
+CALIBRATION_S = 1.0
 
 
 class OnlineCar:
@@ -38,8 +38,8 @@ class OnlineCar:
         self._speeds: set[int] = set()
         self._still: set[int] = set()
         self._accepted_s = 0.0
-        self._mounting_cov: Array | None = None
-        self._mounting_s = 0.0
+        self._calibration_cov: Array | None = None
+        self._calibration_s = 0.0
 
     def take_in(
         self, j: int, state: State, cov: Array, values: gtsam.Values, tree: WholeTree, *,
@@ -60,7 +60,7 @@ class OnlineCar:
         if self.car.in_force[j]:
             self._enter(j)
             R, bias = state.pose.rotation().matrix(), state.bias.vector()
-            self.car.note_slip(j, R, v, bias, cov, self._mounting(j, tree))
+            self.car.note_slip(j, R, v, bias, cov, self._calibration(j, tree))
             self.car.insert(values, j, state.pose, state.velocity, state.bias)
             factors += self.car.axis_factors(j)
         for key in self._arriving[j]:
@@ -68,13 +68,14 @@ class OnlineCar:
                 factors += self.car.wheel_factors(key)
         return factors
 
-    def _mounting(self, j: int, tree: WholeTree) -> Array:
-        """The covariance of the mounting, read once in `MOUNTING_S`: it takes long and changes
-        slowly."""
-        if self._mounting_cov is None or self.model.t_s[j] - self._mounting_s >= MOUNTING_S:
-            self._mounting_cov = mounting_covariance(tree.covariance([K(0)]))
-            self._mounting_s = float(self.model.t_s[j])
-        return self._mounting_cov
+    def _calibration(self, j: int, tree: WholeTree) -> Array:
+        """The covariance (3, 3) of the calibration, read once in `CALIBRATION_S`: it takes long and
+        changes slowly."""
+        now_s = float(self.model.t_s[min(j, len(self.model) - 1)])
+        if self._calibration_cov is None or now_s - self._calibration_s >= CALIBRATION_S:
+            self._calibration_cov = calibration_covariance(tree.covariance([K(0)]))
+            self._calibration_s = now_s
+        return self._calibration_cov
 
     def finish(self, tree: WholeTree, *, aligned: bool) -> Factors:
         """Factors of the speeds and velocities that came in after the last keyframe."""
@@ -103,6 +104,10 @@ class OnlineCar:
                 self._enter(k)
         for k in self._speeds & self.axes:
             self.car.verdicts[self.car.wheel_source].set(self.car.wheel_row[k], Verdict.USED)
+
+    def tells_course(self, first: int) -> bool:
+        """Whether a velocity since keyframe `first` is fast enough to tell a course."""
+        return self._velocities.tells_course(first)
 
     def read(self, j: int, tree: WholeTree) -> None:
         """Take the calibration out of the tree, where keyframe j has changed it."""
@@ -145,7 +150,8 @@ class OnlineCar:
             keys = [X(key), V(key), B(int(model.bias_of[key]))]
             state, cov = State(*tree.estimate(*keys)), tree.covariance(keys)[:9, :9]
         pose, bias = state.pose.rotation().matrix(), state.bias.vector()
-        fits = self.car.wheel_fits(key, pose, state.velocity, bias, self.car.found, cov)
+        known = self._calibration(j, tree)
+        fits = self.car.wheel_fits(key, pose, state.velocity, bias, cov, known)
         waited = model.t_s[key] - self._accepted_s > model.config.gnss.gate_reset_s
         if not (fits or waited):
             return False

@@ -200,7 +200,7 @@ class OnlinePositions:
         named = {one.i: (int(p.source[one.i]), int(p.object_id[one.i])) for one in seen}
         car = min(fitting, key=lambda one: one.nis + self._witness.cost(*named[one.i]))
         for one in seen:
-            self._witness.note(*named[one.i], is_car=one is car)
+            self._witness.note(*named[one.i], car=one is car)
         verdicts, row = self._verdicts(car.i)
         verdicts.set(row, Verdict.USED)
         return car

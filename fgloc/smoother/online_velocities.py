@@ -4,10 +4,12 @@ They need no heading, so they enter from the first keyframe on; until the yaw is
 that they could be gated against is known.
 """
 
+import numpy as np
 from gtsam.symbol_shorthand import V
 
 from fgloc.measurements import Array
 from fgloc.smoother.graph import Factors, GraphModel
+from fgloc.smoother.guess import is_course
 from fgloc.smoother.tree import WholeTree
 from fgloc.verdicts import Verdict
 
@@ -35,6 +37,11 @@ class OnlineVelocities:
                 self._accepted_s = float(self.model.t_s[key])
                 factors += self.model.car.velocity_factors(key)
         return factors
+
+    def tells_course(self, first: int) -> bool:
+        """Whether one that came in since keyframe `first` is fast enough to tell a course."""
+        keys = np.array([k for k in self._held if k >= first], int)
+        return bool(is_course(self.told.v_world_mps[keys], self.told.sigma_mps[keys]).any())
 
     def factors(self, k: int) -> Factors:
         """What a graph over a window holds of keyframe k."""

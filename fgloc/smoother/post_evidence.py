@@ -51,14 +51,16 @@ def likelier(
         watches[k] = replace(watch, post=post)
         summary[watch.name] = summary_of(watch.post, post, errors)
     plan = replace(model.plan, posts=tuple(watches))
-    return type(model)(model.drive, plan, model.config), summary
+    found = type(model)(model.drive, plan, model.config)
+    found.shifted_s = model.shifted_s
+    return found, summary
 
 
 def with_posts(chain: Chain, watches: tuple[Any, ...]) -> Chain:
     """The chain with posts that have other numbers."""
     other, model = copy(chain), copy(chain.model)
     model.swaying = Swaying(model.drive, watches, model.t_ns)
-    other.model = model
+    other.model, other.beside = model, other.beside.of(model)
     return other
 
 

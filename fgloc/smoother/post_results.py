@@ -9,10 +9,10 @@ from fgloc.factors.noise import nis, weight
 from fgloc.measurements import Array
 from fgloc.posts import PostStates
 from fgloc.references import judge_references
+from fgloc.smoother.beside import reference_errors
 from fgloc.smoother.model import Model
 from fgloc.smoother.posts import judge
 from fgloc.smoother.states import States
-from fgloc.smoother.terms import reference_errors
 from fgloc.sway import post_states, together
 from fgloc.verdicts import Verdict
 from fgloc.watches import SOURCE, judge_poses

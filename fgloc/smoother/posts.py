@@ -4,9 +4,11 @@ All factors are linear in vector states (`fgloc.factors.post`), so GTSAM solves 
 step and iSAM2 never relinearises. Where a drive has vehicles as well, see `swaying`.
 """
 
-from collections.abc import Callable
+from __future__ import annotations
 
-import gtsam
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from fgloc.config import SmoothConfig
@@ -20,6 +22,9 @@ from fgloc.smoother.post_modes import with_modes
 from fgloc.sway import post_states, result
 from fgloc.verdicts import SourceVerdicts
 from fgloc.watches import SOURCE, Watch, watches
+
+if TYPE_CHECKING:
+    import gtsam
 
 Estimate = tuple[Array, Array]
 """States (k, 6) and their covariances (k, 6, 6)."""
@@ -79,6 +84,8 @@ def estimated(watch: Watch, config: SmoothConfig, judged: SourceVerdicts) -> Est
 
 def _batch(watch: Watch) -> Estimate:
     """Every state from all that is told of the post."""
+    import gtsam
+
     graph, zero = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k in range(len(watch.t_ns)):
         zero.insert(_key(k), np.zeros(6))
@@ -96,6 +103,8 @@ def _online(config: SmoothConfig) -> Callable[[Watch], Estimate]:
     lag_s = config.lag_s if config.mode == "fixed-lag" else np.inf
 
     def solve(watch: Watch) -> Estimate:
+        import gtsam
+
         params = gtsam.ISAM2Params()
         params.setRelinearizeThreshold(_NEVER)
         params.findUnusedFactorSlots = True
@@ -112,6 +121,8 @@ def _added(
     smoother: gtsam.IncrementalFixedLagSmoother, watch: Watch, k: int, t_s: float
 ) -> tuple[Array, Array]:
     """The k-th state and its covariance right after it came in."""
+    import gtsam
+
     graph, zero = gtsam.NonlinearFactorGraph(), gtsam.Values()
     zero.insert(_key(k), np.zeros(6))
     for factor in factors_of(watch, k):
@@ -137,4 +148,6 @@ def judge(watch: Watch, estimate: Estimate, judged: SourceVerdicts) -> None:
 
 
 def _key(k: int) -> int:
+    import gtsam
+
     return gtsam.symbol("s", k)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from fgloc.factors.detection import by_survey
 from fgloc.measurements import Array
 from fgloc.positions import DETECTIONS
+from fgloc.smoother.beside import reference_errors
 from fgloc.smoother.chain import position_errors
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import SharedSigmas, StateLog, States
-from fgloc.smoother.terms import reference_errors
 from fgloc.verdicts import Verdict
 
 LEAST_ROWS = 10

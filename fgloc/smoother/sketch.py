@@ -39,13 +39,14 @@ def few_keyframes(model: Model, n: int) -> Keys | None:
     return keys if WORTH * len(keys) <= n else None
 
 
-def few_model(model: Model, keys: Keys) -> Model:
-    """The model of a drive with some of its keyframes, and the fixes at these; the others become
-    epochs between."""
+def few_model(model: Model, keys: Keys, gated: NDArray[np.bool_]) -> Model:
+    """The model of a drive with some of its keyframes, and the positions at these that are not
+    gated (of the first so many); the others become epochs between."""
     epochs = model.epochs
     is_keyframe = np.zeros(len(epochs), bool)
     is_keyframe[model.epoch_of[keys]] = True
-    there = np.isin(model.key_of, keys) & ~model.positions.candidates
+    there = np.zeros(len(model.key_of), bool)
+    there[: len(gated)] = ~gated & np.isin(model.key_of[: len(gated)], keys)
     plan = replace(
         model.plan,
         epochs=replace(epochs, is_keyframe=is_keyframe),

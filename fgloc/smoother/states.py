@@ -19,17 +19,18 @@ from fgloc.trajectory import Trajectory
 class States:
     """Values of n keyframes: attitude (n, 3, 3), position in m and velocity in m/s (n, 3) of the
     IMU's place, its bias (n, 6) in m/s^2 and rad/s, the slow errors of the sources of positions
-    that have one (n, 3 for each) in m. Of the whole drive, how late stamps are, in s, the car's
-    calibration (3,), see `Car`, how far the box's centre is from where the rig says (3,) in m, and
-    of each source what its survey is off (3,): east and north in m, yaw in rad. `posts` (n, 6 for
-    each slot) are those of swaying posts, see `Swaying`."""
+    that have one (n, 3 for each) in m. Of the whole drive, how late the stamps of each source are
+    whose clock is estimated (k,), in s, the car's calibration (3,), see `Car`, how far the box's
+    centre is from where the rig says (3,) in m, and of each source what its survey is off (3,):
+    east and north in m, yaw in rad. `posts` (n, 6 for each slot) are those of swaying posts, see
+    `Swaying`."""
 
     R: Array
     p: Array
     v: Array
     bias: Array
     slow: Array
-    late_s: float = 0.0
+    late_s: Array = field(default_factory=lambda: np.zeros(0))
     calibration: Array = field(default_factory=lambda: vehicle.STRAIGHT)
     offset: Array = field(default_factory=lambda: np.zeros(3))
     survey: Array = field(default_factory=lambda: np.zeros((1, 3)))
@@ -49,7 +50,7 @@ class States:
         """A guess, with errors of zero."""
         n = len(guess.p_world_m)
         return cls(guess.R_world_veh, guess.p_world_m, guess.v_world_mps, np.zeros((n, 6)),
-                   np.zeros((n, 3 * len(model.slow))),
+                   np.zeros((n, 3 * len(model.slow))), np.zeros(len(model.shifted_s)),
                    survey=np.zeros((len(model.sources), 3)),
                    posts=np.zeros((n, model.swaying.width)))  # fmt: skip
 
@@ -58,19 +59,36 @@ class States:
 class Robustness:
     """What is done about what does not fit: `gated` (positions,) are left out, and the fixes' loss
     begins at a whitened error of `loss_width`, infinity being no loss. `plain` is least squares
-    for everything, detections and vehicle constraints as well."""
+    for everything, detections and vehicle constraints as well. `unheld` are the keyframes, of each
+    source of the vehicle's own, at which it is left out."""
 
     gated: NDArray[np.bool_]
     loss_width: float
     plain: bool = False
+    unheld: Mapping[str, frozenset[int]] = field(default_factory=dict)
+
+    def holds(self, source: str, keys: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Those of some keyframes at which a source of the vehicle's own is not left out."""
+        out = self.unheld.get(source)
+        return keys[~np.isin(keys, list(out))] if out else keys
+
+
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """Covariances at a solution: of the poses (n, 6, 6), of what the positions measure as predicted
+    (rows, 3, 3) in m^2, and the same of each of the vehicle's own sources, whitened."""
+
+    poses: Array
+    positions: Array
+    held: Mapping[str, Array]
 
 
 @dataclass(frozen=True, eq=False)
 class SharedSigmas:
-    """Standard deviations of what a drive shares, where it is estimated: lateness in s, the box's
-    centre (3,) in m, and of some sources, by number, the survey (3,) in m, m and rad."""
+    """Standard deviations of what a drive shares, where it is estimated: latenesses (k,) in s, the
+    box's centre (3,) in m, and of some sources, by number, the survey (3,) in m, m and rad."""
 
-    late_s: float | None = None
+    late_s: Array = field(default_factory=lambda: np.zeros(0))
     offset: Array | None = None
     survey: Mapping[int, Array] = field(default_factory=dict)
 

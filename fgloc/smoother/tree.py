@@ -1,5 +1,6 @@
 """iSAM2 behind one small face, whole or over a fixed lag."""
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
 
@@ -122,10 +123,17 @@ class WholeTree:
 
 
 class FixedLagTree(WholeTree):
-    """iSAM2 over the last `lag_s` seconds; what is older is marginalised."""
+    """iSAM2 over at least the last `lag_s` seconds; what is older is marginalised.
 
-    def __init__(self, factorization: str, thresholds: Thresholds | None, lag_s: float) -> None:
-        self.factorization = factorization
+    States leave in groups of `group_s`, which should divide the lag. The update in which one leaves
+    solves all the window again, and in an order in which the newest state, whose covariance is
+    asked for, does not come last.
+    """
+
+    def __init__(
+        self, factorization: str, thresholds: Thresholds | None, lag_s: float, group_s: float
+    ) -> None:
+        self.factorization, self._group_s = factorization, group_s
         self._solver = self._lag = gtsam.IncrementalFixedLagSmoother(
             lag_s, parameters(factorization, thresholds)
         )
@@ -138,7 +146,9 @@ class FixedLagTree(WholeTree):
         stamps: Stamps,
     ) -> None:
         """As of the whole tree; what is older than the newest stamp by the lag is marginalised."""
-        self._lag.update(as_graph(factors), values, stamps)
+        apart_s = self._group_s
+        grouped = {key: math.ceil(float(t_s) / apart_s) * apart_s for key, t_s in stamps.items()}
+        self._lag.update(as_graph(factors), values, grouped)
 
     def shorten(self, lag_s: float) -> None:
         """Change the lag; what is older leaves at the next update."""

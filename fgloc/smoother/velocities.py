@@ -1,14 +1,16 @@
 """The velocities of a drive in a model: which keyframes have one, and what became of it."""
 
+from functools import cached_property
+
 import numpy as np
-from numpy.typing import NDArray
 
 from fgloc.chi_square import chi2_quantile
 from fgloc.config import GnssConfig
 from fgloc.constraints import velocity_of
 from fgloc.drive import Drive
 from fgloc.factors import noise, velocity
-from fgloc.measurements import Array
+from fgloc.measurements import Array, EnuVelocities
+from fgloc.smoother.lines import slopes
 from fgloc.sync import Plan
 from fgloc.timing import Instants
 from fgloc.verdicts import SourceVerdicts, Verdict
@@ -28,13 +30,24 @@ class Velocities:
         self.v_world_mps, self.sigma_mps = np.zeros((len(at), 3)), np.ones(len(at))
         self.received_ns: Instants = np.empty(0, np.int64)
         self._verdicts, self._gate = plan.verdicts, gate
+        self._table: EnuVelocities | None = None
         table, rows = velocity_of(drive), self.row[self.keys]
         if table is None or not len(rows):
             return
+        self._table = table
         self.received_ns = table.received_ns[rows]
         self.v_world_mps[self.keys] = table.v_world_mps[rows]
         rate, arm = plan.epochs.rate_radps[at][self.keys], plan.motion.T_veh_imu[:3, 3]
         self.sigma_mps[self.keys] = velocity.sigma_with_arm(table.sigma_mps[rows], rate, arm)
+
+    @cached_property
+    def slope_mps2(self) -> Array:
+        """How fast they change (n, 3), by their neighbours; 0 where there is none."""
+        slope = np.zeros_like(self.v_world_mps)
+        if self._table is not None:
+            told = slopes(self._table.t_ns, self._table.v_world_mps)
+            slope[self.keys] = told[self.row[self.keys]]
+        return slope
 
     @property
     def verdicts(self) -> SourceVerdicts:
@@ -52,18 +65,3 @@ class Velocities:
         reason = "" if fits else "does not fit the prediction"
         own.set(row, Verdict.USED if fits else Verdict.GATED, reason)
         return fits
-
-    def whitened(self, v_world_mps: Array, keys: NDArray[np.int64]) -> Array:
-        """Errors (m, 3) of the states' velocities (n, 3) at some keyframes, in sigmas."""
-        error = velocity.residual(v_world_mps[keys], self.v_world_mps[keys])
-        return error / self.sigma_mps[keys, None]
-
-    def judge(self, v_world_mps: Array) -> None:
-        """Verdicts of a graph that was solved at once: what the loss weighs down, and the rest."""
-        if not len(self.keys):
-            return
-        norm = np.linalg.norm(self.whitened(v_world_mps, self.keys), axis=1)
-        weight, rows = noise.weight(norm, "huber", WIDTH), self.row[self.keys]
-        self.verdicts.set(rows, Verdict.USED)
-        for row, w in zip(rows[weight < 1], weight[weight < 1], strict=True):
-            self.verdicts.set(row, Verdict.DOWN_WEIGHTED, f"huber weight {w:.3g}")

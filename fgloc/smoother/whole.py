@@ -1,20 +1,26 @@
 """The whole drive solved by GTSAM: for graphs that are no chain, and to hold the chain against."""
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import B, C, L, S, U, V, X
+from numpy.typing import NDArray
 
+from fgloc.factors import imu
 from fgloc.measurements import Array
+from fgloc.smoother.chain import Chain
 from fgloc.smoother.graph import Factors, GraphModel, State
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import YAW_SIGMA_RAD
 from fgloc.smoother.solve import covariances, optimize, window_values
-from fgloc.smoother.states import Robustness, SharedSigmas, States
+from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
+from fgloc.smoother.term import Term
 from fgloc.smoother.terms import by_survey
 from fgloc.smoother.tree import as_graph
 
+EVERYTHING = Robustness(np.zeros(0, bool), np.inf)
 ROUNDS, STILL = 5, 1e-6
 """Detections of nodes that sway are made linear anew until the posts' states change by less, in
 their units."""
@@ -25,9 +31,11 @@ class Whole:
 
     converged = True
 
-    def __init__(self, model: GraphModel, prior: Guess, groups: Sequence[Factors] = ()) -> None:
+    def __init__(
+        self, model: GraphModel, prior: Guess, deltas: imu.ImuDeltas, groups: Sequence[Factors] = ()
+    ) -> None:
         """The prior lies level around the guess's first state; `groups` saves building factors."""
-        self.model, self.prior = model, prior
+        self.model, self.prior, self._deltas = model, prior, deltas
         self.groups = list(groups) or _groups(model, prior)
         self.n = len(self.groups)
         self.rows = int(np.searchsorted(model.key_of, self.n))
@@ -36,11 +44,13 @@ class Whole:
     @property
     def factors(self) -> int:
         """How many factors there are, with a measurement for every position."""
-        return sum(map(len, self.groups)) + self.rows + self.told
+        car = self.model.car
+        held = sum(len(car.factors(j, EVERYTHING)) for j in range(self.n))
+        return sum(map(len, self.groups)) + held + self.rows + self.told
 
     def first(self, n: int) -> "Whole":
         """The same for the first n keyframes alone."""
-        return Whole(self.model, self.prior, self.groups[:n])
+        return Whole(self.model, self.prior, self._deltas, self.groups[:n])
 
     def optimum(
         self, states: States, robust: Robustness, *, rough: bool = False
@@ -60,14 +70,28 @@ class Whole:
         self.converged = iterations < self.model.config.solver.max_iterations
         return states, float(graph.error(solved)), total
 
-    def covariances(self, states: States, robust: Robustness) -> tuple[Array, Array]:
-        """Of the poses (n, 6, 6), and of what the positions measure as predicted (rows, 3, 3)."""
+    def rough_predictions(self, states: States) -> None:
+        """None: GTSAM solves no sketch."""
+
+    def covariances(self, states: States, robust: Robustness) -> Spread:
+        """Of the poses, and of what the positions and the vehicle's own sources measure."""
         joint = self._joint(states, robust)
         cov = np.stack([joint([X(j)]) for j in range(self.n)])
         predicted = np.empty((self.rows, 3, 3))
         for i in range(self.rows):
             predicted[i] = self._predicted(i, states, cov, joint, in_graph=not robust.gated[i])
-        return cov, predicted
+        held = self._chain.covariances(states, robust).held
+        return Spread(cov, predicted, held)
+
+    def held_term(self, source: str, states: States, at: NDArray[np.int64]) -> Term:
+        """What one of the vehicle's own sources says at some keyframes."""
+        return self._chain.held_term(source, states, at)
+
+    @cached_property
+    def _chain(self) -> Chain:
+        """The same graph in numpy: of poses, velocities, biases and the calibration together GTSAM
+        gives one joint covariance in 30 ms, and there are as many as wheel speeds."""
+        return Chain(self.model, self.prior, self._deltas.take(slice(self.n - 1)))
 
     def _predicted(
         self, i: int, states: States, cov: Array, joint: Callable[[list[int]], Array], *,
@@ -118,6 +142,9 @@ class Whole:
 
     def _graph(self, robust: Robustness) -> gtsam.NonlinearFactorGraph:
         graph = as_graph(factor for group in self.groups for factor in group)
+        for j in range(self.n):
+            for factor in self.model.car.factors(j, robust):
+                graph.add(factor)
         before: dict[int, int] = {}
         for i in self._kept(robust):
             s = int(self.model.positions.source[i])
@@ -188,5 +215,5 @@ def _groups(model: GraphModel, prior: Guess) -> list[Factors]:
     groups = [model.prior_factors(0, state, YAW_SIGMA_RAD)]
     groups += [model.motion_factors(j, model.interval(j).pim) for j in range(1, len(model))]
     for j, group in enumerate(groups):
-        group += model.car.factors(j) + model.swaying.factors(j)
+        group += model.swaying.factors(j)
     return groups

@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive, ImuNoise, Noise
-from fgloc.errors import DriveError
 from fgloc.factors.imu import ImuDeltas
 from fgloc.measurements import Array
 from fgloc.smoother import clocks
 from fgloc.smoother.band import BorderedFactor, NotPositiveError
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.chain import Chain, position_errors
-from fgloc.smoother.guess import guess, gyro_yaw
+from fgloc.smoother.guess import guess, yaw_by_turns
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import Robustness, States
 from fgloc.smoother.terms import POSE
@@ -89,19 +88,15 @@ class Bench:
     """
 
     def __init__(self, drive: Drive, config: SmoothConfig) -> None:
-        """Raises DriveError where the drive lacks fixes, an IMU or its noise."""
+        """Raises DriveError where the drive lacks fixes, or the noise of its IMU."""
         self.drive = clocks.on_time(drive, config)
         self.plan = plan(self.drive, config)
         model = Model(self.drive, self.plan, plain(config))
-        if not isinstance(model.noise, ImuNoise):
-            raise DriveError(
-                f"drive {drive.name!r}: its states are carried by {self.plan.motion.kind}, and "
-                "tuning finds the noise of an IMU"
-            )
+        assert isinstance(model.noise, ImuNoise)
         self.noise = model.noise
         self.fix_t_s = model.t_s[model.key_of]
         self.outliers = np.zeros(len(self.fix_t_s), bool)
-        self._guess = guess(model, 0, len(model) - 1, gyro_yaw(model))
+        self._guess = guess(model, 0, len(model) - 1, yaw_by_turns(model))
         self._motion = Motion(model)
         self._start: States | None = None
         self._states: dict[int, States] = {}

@@ -10,7 +10,7 @@ FEW = 0.5
 """Below this share of what they claim, the fixes' scatter says that their errors are slow."""
 MEANING = {
     "found": "found",
-    "bounded": "the nearest to what was given that predicts no worse",
+    "bounded": "what was given is too far off; about where the drive tells no more",
     "kept": "as given: the drive does not determine it",
 }
 
@@ -60,10 +60,37 @@ class Consistency:
 
 
 @dataclass(frozen=True)
+class AidConsistency:
+    """Measurements of one source, on stretches that the search has not seen, as all others predict
+    them, before and after.
+
+    n, worth  how many were compared, and as how many independent ones they count
+    nis_...   mean NIS over its degrees of freedom; 1 is consistent
+    low, high the band that holds 95 % of what is consistent
+    outliers  how many of the whole drive lie far beyond the bulk and took no part
+    """
+
+    source: str
+    n: int
+    worth: float
+    nis_before: float
+    nis_after: float
+    low: float
+    high: float
+    outliers: int
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the NIS after lies within its band."""
+        return self.low <= self.nis_after <= self.high
+
+
+@dataclass(frozen=True)
 class Tuning:
     """The noise found for a drive; `config` is ready for `fgloc.smooth`.
 
-    consistency  on stretches that the search has not seen, by length of the gap
+    consistency  of the fixes on stretches that the search has not seen, by length of the gap
+    aids         the same of wheels, nodes and what else aids
     fixes        how many usable ones there were; `outliers` of them were left out
     """
 
@@ -74,6 +101,7 @@ class Tuning:
     fixes: int
     outliers: int
     evaluations: int
+    aids: tuple[AidConsistency, ...] = ()
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -89,11 +117,24 @@ class Tuning:
         ]
         if self.outliers:
             said.append(f"{self.outliers} of {self.fixes} fixes were left out as outliers")
+        for one in self.aids:
+            if one.outliers:
+                said.append(f"{one.outliers} rows of {one.source} took no part: outliers")
+            if not one.consistent:
+                size = "small" if one.nis_after > one.high else "large"
+                said.append(f"the NIS of {one.source} stays outside its band on stretches that the "
+                            f"search has not seen: its sigma is too {size} there")  # fmt: skip
         if self.config.gnss.sigma_scale < FEW and not self.config.gnss.bias_sigma_m:
             said.append(
                 "the fixes scatter far less than they claim; a receiver that filters makes its "
                 "errors slow, and slow errors do not show here: start from gnss.bias_sigma_m=1 to "
                 "ask for them, or keep gnss.sigma_scale=1"
+            )
+        if self.config.detections.sigma_scale < FEW:
+            said.append(
+                "what nodes see scatters far less than it claims: its errors are slow, and slow "
+                "errors do not show here; state them (bias_sigma_m and bias_tau_s in [[node]]) or "
+                "keep detections.sigma_scale=1"
             )
         return tuple(said)
 
@@ -123,6 +164,7 @@ class Tuning:
             "consistency": [
                 asdict(one) | {"consistent": one.consistent} for one in self.consistency
             ],
+            "aids": [asdict(one) | {"consistent": one.consistent} for one in self.aids],
             "fixes": self.fixes, "outliers": self.outliers, "evaluations": self.evaluations,
             "remarks": list(self.remarks),
         }  # fmt: skip
@@ -134,8 +176,9 @@ class Tuning:
         lines = [
             f"Noise tuned on drive {self.drive}, {self.fixes} fixes.",
             *(_of_setting(one) for one in self.settings),
-            "Mean NIS / dof of withheld fixes, on stretches that the search has not seen:",
+            "Mean NIS / dof on stretches that the search has not seen:",
             *(_of_gap(one) for one in self.consistency),
+            *(_of_aid(one) for one in self.aids),
             *(f"Remark: {remark}." for remark in self.remarks),
         ]
         head = "".join(f"# {' '.join(line.split())}\n" for line in lines)
@@ -146,6 +189,13 @@ def _of_setting(one: TunedSetting) -> str:
     unsure = "" if one.relative_sigma is None else f" +- {100 * one.relative_sigma:.0f} %"
     change = "" if one.status == "kept" else f"; was {one.before:.4g}"
     return f"{one.key} = {one.after:.4g}{unsure}: {MEANING[one.status]}{change}"
+
+
+def _of_aid(one: AidConsistency) -> str:
+    return (
+        f"{one.source}, by all others: {one.nis_before:.3g} before, {one.nis_after:.3g} after "
+        f"(consistent: {one.low:.2f} to {one.high:.2f}; {one.n} rows, worth {one.worth:.0f})"
+    )
 
 
 def _of_gap(one: Consistency) -> str:

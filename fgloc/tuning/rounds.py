@@ -38,11 +38,15 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class Rounds:
-    """All rounds of a drive: those of the search, and the unseen."""
+    """All rounds of a drive: those of the search, and the unseen; and of each fix (fixes,) the time
+    in s, the stretch and whether it is seen (1), unseen (-1) or always taken in (0)."""
 
     seen: tuple[Round, ...]
     unseen: tuple[Round, ...]
     lengths: tuple[int, ...]
+    t_s: NDArray[np.float64]
+    stretch: NDArray[np.int64]
+    side: NDArray[np.int64]
 
 
 def make_rounds(t_s: NDArray[np.float64], outage_s: float, name: str) -> Rounds:
@@ -67,7 +71,8 @@ def make_rounds(t_s: NDArray[np.float64], outage_s: float, name: str) -> Rounds:
     unseen = kind == UNSEEN
     seen = _rounds(stretch, lengths, (kind >= 0) & ~unseen, kind == WHOLE, unseen)
     judged = _rounds(stretch, lengths, unseen, unseen, np.zeros(n, bool))
-    return Rounds(seen, judged, tuple(lengths))
+    side = np.where(kind < 0, 0, np.where(unseen, -1, 1))
+    return Rounds(seen, judged, tuple(lengths), t_s, stretch, side)
 
 
 def _rounds(

@@ -5,10 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from fgloc.datasets.city import GNSS_SIGMA_ENU_M, IMU_HZ, ORIGIN, city_motion, city_rig
-from fgloc.datasets.simulator import Motion, simulate_gnss, simulate_imu, stream, truth_of
+from fgloc.datasets.simulator import (
+    Motion,
+    gauss_markov,
+    simulate_gnss,
+    simulate_imu,
+    stream,
+    truth_of,
+)
 from fgloc.drive import Drive, GnssBias
 from fgloc.factors.detection import LEE2021_ACROSS_M, lee2021_sigma_m, line_of_sight_cov_m2
-from fgloc.factors.gnss import bias_transition
 from fgloc.infrastructure import Infrastructure, Node
 from fgloc.measurements import VEHICLE, Array, EnuVelocities, NodeDetections
 from fgloc.timing import seconds_to_ns
@@ -32,7 +38,7 @@ def roadside_drive(
     node = Node("pole", beside, 0.7, range_m=60.0, bias_sigma_m=node_bias_m, bias_tau_s=60.0)
     gnss = simulate_gnss(slow, rig, GNSS_SIGMA_ENU_M, stream(seed, "gnss"))
     if gnss_bias is not None:
-        wander = gauss_markov(len(slow), gnss_bias.sigma_m, gnss_bias.tau_s, 3, seed)
+        wander = _wander(len(slow), gnss_bias.sigma_m, gnss_bias.tau_s, 3, seed)
         gnss = replace(gnss, p_world_ant_m=gnss.p_world_ant_m + wander)
     tables = {
         "gnss": gnss,
@@ -44,14 +50,9 @@ def roadside_drive(
                  infrastructure=Infrastructure((node,)))  # fmt: skip
 
 
-def gauss_markov(n: int, sigma_m: float, tau_s: float, axes: int, seed: int) -> Array:
+def _wander(n: int, sigma_m: float, tau_s: float, axes: int, seed: int) -> Array:
     """A slow error (n, axes) at 10 Hz."""
-    rng, (phi, noise) = stream(seed, f"slow {axes}"), bias_transition(0.1, sigma_m, tau_s)
-    out = np.zeros((n, axes))
-    out[0] = sigma_m * rng.standard_normal(axes)
-    for k in range(1, n):
-        out[k] = phi * out[k - 1] + noise * rng.standard_normal(axes)
-    return out
+    return sigma_m * gauss_markov(tau_s, np.arange(n) / 10, axes, stream(seed, f"slow {axes}"))
 
 
 def _velocities(motion: Motion, rng: np.random.Generator) -> EnuVelocities:
@@ -65,7 +66,7 @@ def _detections(
     rng = stream(seed, "detections")
     place = node.from_world((motion.p_world_m + motion.R_world_veh @ box_m)[:, :2])
     if node.bias_sigma_m:
-        place = place + gauss_markov(len(place), node.bias_sigma_m, node.bias_tau_s, 2, seed)
+        place = place + _wander(len(place), node.bias_sigma_m, node.bias_tau_s, 2, seed)
     seen = np.linalg.norm(place, axis=1) < 55
     late = round(SECOND_CAR_BEHIND_S * 10)
     behind = np.roll(place, late, axis=0)

@@ -1,14 +1,18 @@
 # ruff: noqa: T201
 """A drive folder solved by a bare GTSAM script, as one would write it by hand: the comparator.
 
-Reads gnss.csv, imu.csv, truth.csv and drive.toml itself, and imports nothing from fgloc.
+Reads gnss.csv, imu.csv, truth.csv, drive.toml and, if there, detections.csv itself, and imports
+nothing from fgloc.
 
     python tests/benchmarks/bare_batch.py FOLDER [--loss huber] [--out FILE.csv]
 
 Keyframes lie at the fixes and at most 1 s apart; ImuFactor with a bias node a second; GPSFactorArm
-with each fix's covariance; Levenberg-Marquardt; the marginal covariance of every pose. The written
-trajectory has a row every 0.25 s: between keyframes the IMU's prediction from the left one, with
-the left one's covariance. Prints the horizontal RMSE against truth.csv from 75 s on as JSON.
+with each fix's covariance, and another for each detection, all of them at keyframes and of the car,
+with a height that is next to free; Levenberg-Marquardt; the marginal covariance of every pose.
+States are of the IMU's place along the vehicle's axes, as fgloc's are: through a sensor pose the
+tangential acceleration would be left out. The written trajectory has a row every 0.25 s: between
+keyframes the IMU's prediction from the left one, with the left one's covariance. Prints the
+horizontal RMSE against truth.csv from 75 s on as JSON.
 """
 
 import argparse
@@ -24,7 +28,8 @@ from gtsam.symbol_shorthand import B, V, X
 
 KEYFRAME_S, OUTPUT_S, BIAS_S = 1.0, 0.25, 1.0
 LEVEL_RAD, YAW_RAD, POSITION_M, SPEED_MPS = 0.2, 10.0, 100.0, 30.0
-HUBER_WIDTH = 3.4
+HUBER_WIDTH, SEEN_HUBER_WIDTH = 3.4, 3.0
+FREE_UP_M = 100.0
 SCORE_FROM_S = 75.0
 MOVING_MPS = 3.0
 POSE_CSV = "t_s,east_m,north_m,up_m,qx,qy,qz,qw," + ",".join(
@@ -46,11 +51,24 @@ class Recording:
     truth_m: np.ndarray
     truth_R: np.ndarray | None
     truth_lever_m: np.ndarray
+    seen_s: np.ndarray
+    seen_m: np.ndarray
+    seen_cov_m2: np.ndarray
+
+    @property
+    def imu_m(self):
+        """The IMU's place in the vehicle frame: states are of it, along the vehicle's axes."""
+        return np.array(self.toml["rig"]["T_veh_imu"])[:3, 3]
 
     @property
     def lever_m(self):
-        """The antenna in the vehicle frame."""
-        return np.array(self.toml["rig"]["p_veh_ant_m"])
+        """From there to the antenna."""
+        return np.array(self.toml["rig"]["p_veh_ant_m"]) - self.imu_m
+
+    @property
+    def box_m(self):
+        """From there to the centre of the box that a node sees."""
+        return np.array(self.toml["rig"].get("p_veh_box_m", [0.0, 0.0, 0.0])) - self.imu_m
 
     @property
     def gravity_mps2(self):
@@ -89,16 +107,36 @@ def read_recording(folder):
     fix_cov = fix_cov[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
     start = t_fix[0]
     point = np.array(toml.get("truth", {}).get("p_veh_point_m", [0.0, 0.0, 0.0]))
+    point = point - np.array(toml["rig"]["T_veh_imu"])[:3, 3]
     return Recording(
         toml, (t_fix - start) / 1e9, fix_m, fix_cov, (t_imu - start) / 1e9, samples,
         (t_truth - start) / 1e9, truth_m,
         None if truth_R is None else truth_R.reshape(-1, 3, 3), point,
+        *read_detections(folder, toml, start, fix_m),
     )  # fmt: skip
+
+
+def read_detections(folder, toml, start, fix_m):
+    """Times, places and covariances of what a single node sees; the height is the antenna's."""
+    path = folder / "detections.csv"
+    if not path.exists():
+        return np.empty(0), np.empty((0, 3)), np.empty((0, 3, 3))
+    seen, cov = ("x_m", "y_m"), ("cov_xx_m2", "cov_xy_m2", "cov_yy_m2")
+    t, seen_m, upper = read_csv(path, seen, cov)
+    (node,) = toml["node"]
+    c, s = np.cos(node["yaw_rad"]), np.sin(node["yaw_rad"])
+    R, at = np.array([[c, -s], [s, c]]), node["p_world_m"][:2]
+    height = np.median(fix_m[:, 2]) - toml["rig"]["p_veh_ant_m"][2]
+    place = np.column_stack([seen_m @ R.T + at, np.full(len(t), height)])
+    cov_m2 = np.tile(np.diag([0.0, 0.0, FREE_UP_M**2]), (len(t), 1, 1))
+    cov_m2[:, :2, :2] = R @ upper[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ R.T
+    return (t - start) / 1e9, place, cov_m2
 
 
 @dataclass
 class Timeline:
-    """Epochs of a recording and the IMU steps between them, each the mean of its two ends."""
+    """Epochs of a recording and the IMU steps between them, along the vehicle's axes: each the mean
+    of its two ends, the second of them turned to the first."""
 
     t_s: np.ndarray
     is_key: np.ndarray
@@ -114,11 +152,15 @@ def timeline(rec):
     t_s = fill(key_s, OUTPUT_S)
     inside = (rec.imu_s > t_s[0]) & (rec.imu_s < t_s[-1])
     knots = np.union1d(np.round(rec.imu_s[inside], 9), np.round(t_s, 9))
-    values = np.stack([np.interp(knots, rec.imu_s, column) for column in rec.imu.T], -1)
-    mean = (values[1:] + values[:-1]) / 2
-    accel, gyro = np.ascontiguousarray(mean[:, :3]), np.ascontiguousarray(mean[:, 3:])
+    R = np.array(rec.toml["rig"]["T_veh_imu"])[:3, :3]
+    along = np.concatenate([R @ rec.imu[:, :3].T, R @ rec.imu[:, 3:].T])
+    values = np.stack([np.interp(knots, rec.imu_s, column) for column in along], -1)
+    force, rate, dt_s = values[:, :3], values[:, 3:], np.diff(knots)
+    gyro = (rate[1:] + rate[:-1]) / 2
+    end = force[1:] + np.cross(gyro * dt_s[:, None], force[1:])
     first = np.searchsorted(knots, np.round(t_s, 9))
-    return Timeline(t_s, np.isin(t_s, key_s), first, accel, gyro, np.diff(knots).tolist())
+    accel = (force[:-1] + end) / 2
+    return Timeline(t_s, np.isin(t_s, key_s), first, accel, gyro, dt_s.tolist())
 
 
 def fill(t_s, longest_s):
@@ -137,9 +179,6 @@ def preintegration_params(rec):
     params.setGyroscopeCovariance(np.eye(3) * noise["gyro_noise_radps_per_sqrt_hz"] ** 2)
     # Smaller makes 10 Hz keyframes too ill-conditioned for a Cholesky.
     params.setIntegrationCovariance(np.eye(3) * 1e-6)
-    T = np.array(rec.toml["rig"]["T_veh_imu"])
-    if not np.array_equal(T, np.eye(4)):
-        params.setBodyPSensor(gtsam.Pose3(T))
     return params
 
 
@@ -165,23 +204,21 @@ def priors(rec, pose, yaw_sigma_rad):
     ]
 
 
-def fix_factor(key, rec, row, loss):
-    """The fix of a row; `loss` is none or huber."""
-    cov = rec.fix_cov_m2[row]
-    if np.count_nonzero(cov - np.diag(np.diagonal(cov))):
-        model = gtsam.noiseModel.Gaussian.Covariance(cov)
+def position_factor(key, place_m, cov_m2, lever_m, loss, width):
+    """A measured position of a point of the vehicle; `loss` is none or huber."""
+    if np.count_nonzero(cov_m2 - np.diag(np.diagonal(cov_m2))):
+        model = gtsam.noiseModel.Gaussian.Covariance(cov_m2)
     else:
-        model = gtsam.noiseModel.Diagonal.Variances(np.diagonal(cov))
+        model = gtsam.noiseModel.Diagonal.Variances(np.diagonal(cov_m2))
     if loss == "huber":
-        huber = gtsam.noiseModel.mEstimator.Huber.Create(HUBER_WIDTH)
+        huber = gtsam.noiseModel.mEstimator.Huber.Create(width)
         model = gtsam.noiseModel.Robust.Create(huber, model)
-    return gtsam.GPSFactorArm(key, rec.fix_m[row], rec.lever_m, model)
+    return gtsam.GPSFactorArm(key, place_m, lever_m, model)
 
 
-def turned_rad(rec, line):
+def turned_rad(line):
     """Yaw at every epoch since the first from the gyro about the vehicle's vertical."""
-    rate = line.gyro @ np.array(rec.toml["rig"]["T_veh_imu"])[2, :3]
-    return np.append(0.0, np.cumsum(rate * line.dt_s))[line.first_step]
+    return np.append(0.0, np.cumsum(line.gyro[:, 2] * line.dt_s))[line.first_step]
 
 
 def guess(rec, line, keys):
@@ -191,7 +228,7 @@ def guess(rec, line, keys):
     an outage would end in a bad minimum.
     """
     t = line.t_s[keys]
-    turned = turned_rad(rec, line)[keys]
+    turned = turned_rad(line)[keys]
     p = interpolate(t, rec.fix_s, rec.fix_m)
     before, after = np.maximum(t - 1, t[0]), np.minimum(t + 1, t[-1])
     step = interpolate(after, rec.fix_s, rec.fix_m) - interpolate(before, rec.fix_s, rec.fix_m)
@@ -252,8 +289,13 @@ def solve(rec, line, loss="none"):
             values.insert(B(b + 1), zero)
             b, begun = b + 1, t[j]
         bias_of.append(b)
+    lever_m, box_m = rec.lever_m, rec.box_m
     for row, j in enumerate(np.searchsorted(t, rec.fix_s).tolist()):
-        graph.add(fix_factor(X(j), rec, row, loss))
+        place_m, cov_m2 = rec.fix_m[row], rec.fix_cov_m2[row]
+        graph.add(position_factor(X(j), place_m, cov_m2, lever_m, loss, HUBER_WIDTH))
+    for row, j in enumerate(np.searchsorted(t, rec.seen_s).tolist()):
+        place_m, cov_m2 = rec.seen_m[row], rec.seen_cov_m2[row]
+        graph.add(position_factor(X(j), place_m, cov_m2, box_m, loss, SEEN_HUBER_WIDTH))
     optimizer = gtsam.LevenbergMarquardtOptimizer(graph, values)
     solved = optimizer.optimize()
     marginals = gtsam.Marginals(graph, solved)
@@ -290,7 +332,7 @@ def trajectory(line, solution):
 
 
 def write_poses(path, t_s, poses, cov):
-    """CSV of times, positions, quaternions and the covariance's upper triangle."""
+    """CSV of times, the IMU's positions, quaternions and the covariance's upper triangle."""
     rows = [[*pose.translation(), *pose.rotation().toQuaternion().coeffs()] for pose in poses]
     upper = np.triu_indices(6)
     table = np.column_stack([t_s, rows, cov[:, upper[0], upper[1]]])

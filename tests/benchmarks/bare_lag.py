@@ -52,7 +52,7 @@ def start_yaw_rad(rec, line):
     step = bare.interpolate(after, rec.truth_s, rec.truth_m)
     step -= bare.interpolate(before, rec.truth_s, rec.truth_m)
     moving = int(np.argmax(np.hypot(step[:, 0], step[:, 1]) > 2 * bare.MOVING_MPS))
-    return float(np.arctan2(step[moving, 1], step[moving, 0]) - bare.turned_rad(rec, line)[moving])
+    return float(np.arctan2(step[moving, 1], step[moving, 0]) - bare.turned_rad(line)[moving])
 
 
 @dataclass
@@ -99,7 +99,9 @@ def run(rec, line, lag_s=LAG_S, loss="none", factorization="QR"):
         values.insert(X(j), nav.pose())
         values.insert(V(j), nav.velocity())
         if row_of[j] >= 0:
-            graph.add(bare.fix_factor(X(j), rec, row_of[j], loss))
+            place_m, cov_m2 = rec.fix_m[row_of[j]], rec.fix_cov_m2[row_of[j]]
+            width = bare.HUBER_WIDTH
+            graph.add(bare.position_factor(X(j), place_m, cov_m2, rec.lever_m, loss, width))
         newest = [X(j), V(j), B(b)]
         stamps = dict.fromkeys(newest, t[j])
         smoother.update(graph, values, stamps)

@@ -5,15 +5,21 @@
 
 Prints the mean and standard deviation in m of the absolute errors of each epoch, averaged over
 the seeds, and their ratios to the printed ones. Errors of the GPS are those of the antenna, along
-and across the true heading; those of the node are of the box's centre.
+and across the true heading; those of the node are of the box's centre. Then the time constant of a
+first-order Gauss-Markov process that leaves means over some seconds as spread as the slow errors
+do, from which the scenario's stated ones are.
 """
 
 import argparse
+from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import brentq
 
+from fgloc.datasets import lee2021_road as road
 from fgloc.datasets import make
-from fgloc.datasets.lee2021 import NAME, cases
+from fgloc.datasets.lee2021 import FUSION_HZ, NAME, cases, mcity_node
+from fgloc.datasets.lee2021_errors import gps_slow_m, node_slow_m
 from fgloc.datasets.lee2021_traffic import CAR_ID, FOLLOWER_ID
 from fgloc.drive import Drive
 from fgloc.measurements import Array, NodeDetections
@@ -43,6 +49,41 @@ def main() -> None:
         for k, (got, printed) in enumerate(zip(rows, TABLE_III_M[name], strict=True)):
             show(f"case {k + 1}", got, printed)
     print(f"largest error of the GPS: {np.mean([gps_error_m(d)[2].max() for d in drives]):.2f} m")
+    gps_m, node_m = slow_errors_m(len(drives))
+    print(f"time constant of the GPS: {time_constants(gps_m, (20, 40, 60, 80, 150, 300))}")
+    print(f"time constant of the node: {time_constants(node_m, (5, 10, 14))}")
+
+
+def slow_errors_m(seeds: int) -> tuple[list[Array], list[Array]]:
+    """The slow errors of the GPS over whole drives and of the node over passes, one axis each."""
+    epochs, node = road.motion().every(road.RATE_HZ // FUSION_HZ), mcity_node()
+    t_s = elapsed_s(epochs.t_ns, road.START_NS)
+    from_node_m = (epochs.p_world_m - node.p_world_m)[:, :2]
+    gps_m, node_m = [], []
+    for seed in range(seeds):
+        gps_m += list(gps_slow_m(t_s, from_node_m, cases(), "paper", seed)[:, :2].T)
+        error_m = node_slow_m(t_s, cases(), "paper", seed)
+        for begin_s, end_s in (case.covered_s for case in cases()):
+            node_m += list(error_m[(begin_s <= t_s) & (t_s <= end_s)].T)
+    return gps_m, node_m
+
+
+def time_constants(error_m: list[Array], over_s: Sequence[int]) -> str:
+    """Of a process whose means over some seconds spread as those of some errors at 10 Hz."""
+    sigma_m = np.sqrt(np.mean(np.concatenate(error_m) ** 2))
+    told = [f"rms {sigma_m:.2f} m"]
+    for span_s in over_s:
+        n = FUSION_HZ * span_s
+        means = np.concatenate([e[: len(e) // n * n].reshape(-1, n).mean(1) for e in error_m])
+        share = float(np.mean(means**2) / sigma_m**2)
+        tau_s = brentq(lambda tau_s, a=span_s, b=share: left(a / tau_s) - b, 0.01, 1e4)
+        told.append(f"{tau_s:.1f} s by means over {span_s} s")
+    return ", ".join(told)
+
+
+def left(x: float) -> float:
+    """The share of the variance that a mean over x time constants leaves."""
+    return float(2 / x * (1 - (1 - np.exp(-x)) / x))
 
 
 def show(name: str, got: Array, printed: tuple[float, float]) -> None:

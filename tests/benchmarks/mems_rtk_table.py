@@ -61,7 +61,7 @@ def rms(x: np.ndarray) -> float:
 
 def late_imu(drive: fgloc.Drive) -> str:
     """The setting for an IMU that is as late as a batch of this drive says."""
-    found = fgloc.smooth(drive, settings=["clock.estimate=imu"]).summary["clock"]
+    found = fgloc.smooth(drive, settings=["clock.estimate=imu"]).summary["clock"]["imu"]
     return f"clock.imu_s={found['late_s']:.4f}"
 
 

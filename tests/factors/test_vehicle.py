@@ -85,6 +85,26 @@ def test_every_jacobian_equals_its_difference_quotient(kind, block):
     np.testing.assert_allclose(analytic, numeric, atol=1e-7)
 
 
+def test_late_wheels_tell_the_speed_that_was_true_at_their_stamp():
+    """At rest at the stamp, 2 m/s^2 from then on: 0.1 s later the wheels tell 0.2 m/s."""
+    still, told = np.zeros((1, 3)), np.array([0.0])
+    u = vehicle.body_velocity(
+        np.eye(3)[None], still + [0.2, 0, 0], still, np.zeros((1, 6)), [0] * 3
+    )
+    late, by_late = vehicle.late_wheel(u, [0, 0], 1.0, told, np.array([2.0]), 0.1)
+    assert late.error == pytest.approx(0, abs=1e-12) and by_late == pytest.approx(2.0)
+
+
+def test_what_late_wheels_say_changes_with_their_lateness_as_it_says():
+    R, v, rate, bias = states()
+    u, turn = vehicle.body_velocity(R, v, rate, bias, ARM), MOUNTING + [PITCH, 0]
+    slope = np.array([1.0, -2.0, 0.5, 3.0])
+    on_time, _ = vehicle.late_wheel(u, turn, SCALE, SPEEDS, slope, 0.0)
+    late, by_late = vehicle.late_wheel(u, turn, SCALE, SPEEDS, slope, 0.3)
+    np.testing.assert_array_equal(on_time.error, vehicle.wheel(u, turn, SCALE, SPEEDS).error)
+    np.testing.assert_allclose(late.error - on_time.error, 0.3 * by_late[..., 0])
+
+
 @pytest.mark.parametrize("k", range(4))
 def test_the_native_constraint_has_the_error_of_the_numpy_residual(k):
     R, v, rate, bias = (column[k : k + 1] for column in states())

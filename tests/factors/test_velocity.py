@@ -22,3 +22,12 @@ def test_an_arm_to_the_origin_makes_a_turning_vehicle_less_sure():
     rate = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
     sigma = velocity.sigma_with_arm([0.3, 0.3], rate, np.array([0.2, 0.0, 0.5]))
     np.testing.assert_allclose(sigma, [0.3, 0.5])
+
+
+def test_a_late_velocity_tells_what_was_true_at_its_stamp():
+    """Braking by 3 m/s^2: the 10 m/s of the stamp are told as 9.4 m/s, 0.2 s later."""
+    slope = np.array([[-3.0, 0.0, 0.0]])
+    z = np.array([[10.0, 1.0, 0.0]])
+    error, by_late = velocity.late_residual(z + 0.2 * slope, z, slope, 0.2)
+    np.testing.assert_allclose(error, 0.0, atol=1e-12)
+    assert by_late[0, :, 0].tolist() == [3.0, 0.0, 0.0]

@@ -23,7 +23,7 @@ def systems():
         q = len(at) + 2 * (len(blocks) < 5)  # some know the border, some do not
         J, error = rng.normal(size=(len(blocks), 6, q)), rng.normal(size=(len(blocks), 6))
         curvature, gradient = J.swapaxes(1, 2) @ J, np.einsum("nm,nmq->nq", error, J)
-        banded.add(np.array(blocks), np.array(at), curvature, gradient)
+        banded.add(np.array(blocks), np.array(at), J, gradient)
         for j, square, slope in zip(blocks, curvature, gradient, strict=True):
             rows = np.append(4 * j + np.array(at), [36, 37])[:q]
             H[np.ix_(rows, rows)] += square

@@ -47,6 +47,14 @@ def test_the_scale_of_the_wheels_is_estimated(city, run, mode):
     assert abs(found["mounting_yaw_deg"]) < 0.5
 
 
+def test_sigmas_of_wheels_can_be_scaled(city, run):
+    drive = city(0, 30.0)
+    wheel = drive.tables["wheel"]
+    small = drive.with_tables(wheel=dataclasses.replace(wheel, sigma_mps=wheel.sigma_mps / 4))
+    scaled = run(small, vehicle={**WHEELS, "wheel_sigma_scale": 4.0}).verdicts["wheel"].nis
+    np.testing.assert_allclose(scaled, run(drive, vehicle=WHEELS).verdicts["wheel"].nis, rtol=1e-6)
+
+
 @pytest.mark.parametrize("mode", ["fixed-lag", "batch"])
 def test_every_constraint_has_a_verdict(city, run, mode):
     result = run(city(0, 40.0), mode, vehicle=RIGID)
@@ -57,23 +65,37 @@ def test_every_constraint_has_a_verdict(city, run, mode):
     assert counts[STANDSTILL]["used"] >= 2
 
 
-def test_the_slip_that_is_seen_is_as_large_as_it_was_predicted(city, run):
+def test_slip_and_wheel_speeds_are_as_far_off_as_they_were_predicted(city, run):
     """Two degrees of freedom, causal, once the yaw is known; a simulated car does not slip at all,
     so it is rather less."""
-    told = run(city(0, 60.0), "fixed-lag", vehicle=RIGID).verdicts[NON_HOLONOMIC]
-    nis = told.nis[told.dof == 2]
+    verdicts = run(city(0, 60.0), "fixed-lag", vehicle=RIGID).verdicts
+    nis = verdicts[NON_HOLONOMIC].nis[verdicts[NON_HOLONOMIC].dof == 2]
     assert len(nis) >= 40
     assert 0.2 < np.mean(nis) < 2.6
+    nis = verdicts["wheel"].nis[verdicts["wheel"].dof == 1]
+    assert np.mean(nis) == pytest.approx(1, abs=3 * np.sqrt(2 / len(nis)))
 
 
-def test_wheels_that_spin_are_gated(city, run):
+def test_in_a_batch_wheels_are_as_far_off_as_all_others_predict(city, run):
+    """The NIS of each against all others: mean of 61 with one degree of freedom, three sigmas."""
+    verdicts = run(city(1, 60.0), "batch", vehicle=RIGID).verdicts
+    told = verdicts["wheel"]
+    assert np.mean(told.nis[told.dof == 1]) == pytest.approx(1, abs=3 * np.sqrt(2 / 61))
+    assert np.isfinite(told.threshold[told.dof == 1]).all()
+    for source, dof in ((NON_HOLONOMIC, 2), (STANDSTILL, 3)):
+        assert (verdicts[source].dof == dof).all() and np.isfinite(verdicts[source].nis).all()
+    assert np.isnan(verdicts[NON_HOLONOMIC].threshold).all()  # nobody's measurement has no gate
+
+
+@pytest.mark.parametrize("mode", ["fixed-lag", "batch"])
+def test_wheels_that_spin_are_gated(city, run, mode):
     """From the thirtieth second on the wheels tell 8 m/s more for two seconds."""
 
     def spin(speed):
         speed[1500:1600] += 8.0
         return speed
 
-    told = run(with_wheel(city(0, 40.0), spin), "fixed-lag", vehicle=WHEELS).verdicts["wheel"]
+    told = run(with_wheel(city(0, 40.0), spin), mode, vehicle=WHEELS).verdicts["wheel"]
     rows = np.flatnonzero(told.verdict == "gated")
     assert set(rows) <= set(range(1500, 1600)) and len(rows) == 2
     assert (told.nis[rows] > told.threshold[rows]).all()

@@ -4,21 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import B, K, V, X
 
-from fgloc.config import load_config
 from fgloc.datasets import make, open_drive
 from fgloc.datasets.degrade import degrade
 from fgloc.errors import SolverError
-from fgloc.frames import log_so3
+from fgloc.factors import vehicle
 from fgloc.infrastructure import Infrastructure, Node
 from fgloc.measurements import NodeDetections
 from fgloc.smoother.band import Vector
-from fgloc.smoother.chain import Chain
-from fgloc.smoother.graph import GraphModel
-from fgloc.smoother.guess import guess, gyro_yaw
-from fgloc.smoother.states import Robustness, States
-from fgloc.smoother.whole import Whole
-from fgloc.sync import plan
+from fgloc.smoother.solve import covariances
+from fgloc.smoother.states import States
+
+from .optima import apart, relative, robustness, solvers
 
 CASES = {
     "A": {},
@@ -44,41 +42,33 @@ def seen_by_a_node(drive, **node):
     return drive.with_tables(detections=seen)
 
 
-def solvers(drive, **settings):
-    """The model of a drive, its guess, and its graph as a chain and for GTSAM."""
-    config = load_config(**settings)
-    model = GraphModel(drive, plan(drive, config), config)
-    start = guess(model, 0, len(model) - 1, gyro_yaw(model))
-    return model, start, Chain(model, start, model.deltas()[0]), Whole(model, start)
-
-
-def robustness(chain, gated=False):
-    """The configured loss, with some fixes gated."""
-    gnss = chain.model.config.gnss
-    width = np.inf if gnss.loss == "none" else gnss.loss_width
-    return Robustness(gated | np.zeros(chain.rows, bool), width)
-
-
-def assert_same_optimum(drive, gated=(), **settings):
+def assert_same_optimum(drive, gated=(), unheld=(), **settings):
     """Cost within 1e-6, positions within 0.1 mm, covariances within 0.1 %."""
-    settings = {"solver": {"cost_tolerance": 1e-7}, **settings}
-    _, start, chain, whole = solvers(drive, **settings)
-    robust = robustness(chain, np.isin(np.arange(chain.rows), gated))
-    near, _, _ = chain.optimum(
-        States.of(start, chain.model), replace(robust, plain=True), rough=True
-    )
-    ours, cost, _ = chain.optimum(near, robust)
-    # GTSAM's steps are damped and its robust tail is long: it starts where we ended.
-    theirs, its_cost, _ = whole.optimum(ours, robust)
-    assert cost == pytest.approx(its_cost, rel=1e-6)
-    assert np.abs(ours.p - theirs.p).max() < 1e-4
-    assert np.abs(log_so3(ours.R.swapaxes(-1, -2) @ theirs.R)).max() < 1e-5
-    assert np.abs(ours.v - theirs.v).max() < 1e-4
-    for mine, its in zip(
-        chain.covariances(theirs, robust), whole.covariances(theirs, robust), strict=True
-    ):
-        apart = np.linalg.norm(mine - its, axis=(1, 2)) / np.linalg.norm(its, axis=(1, 2))
-        assert apart.max() < 1e-3
+    found = apart(drive, gated, unheld, **settings)
+    assert found.cost < 1e-6
+    assert found.p_m < 1e-4
+    assert found.turn_rad < 1e-5
+    assert found.v_mps < 1e-4
+    assert found.cov < 1e-3
+    assert found.predicted < 1e-3
+
+
+def test_what_the_car_says_is_predicted_as_well_as_by_gtsam(city):
+    """From GTSAM's joint covariance of pose, velocity, bias and calibration at a few keyframes."""
+    settings = {"vehicle": {"non_holonomic": True, "wheel_speed": True}}
+    model, start, chain, whole = solvers(city(1, 20.0), **settings)
+    robust = robustness(chain)
+    states, _, _ = chain.optimum(States.of(start, model), robust)
+    joint = covariances(whole._graph(robust), whole._values(states, robust), model)
+    by_calibration = np.zeros((3, 6))  # pitch, yaw, scale: how they are kept in a bias variable
+    by_calibration[[0, 1, 2], [4, 5, 0]] = -vehicle.MOUNTING_S, -vehicle.MOUNTING_S, -1.0
+    mine = chain.covariances(states, robust).held
+    for source, keys in model.car.keys_of.items():
+        term = chain.held_term(source, states, keys)
+        for i, j in ((3, keys[3]), (12, keys[12])):
+            cov = joint([X(j), V(j), B(int(model.bias_of[j])), K(0)])
+            J = np.hstack([term.jacobian[i, :, :15], term.jacobian[i, :, 15:] @ by_calibration])
+            assert relative(mine[source][[i]], (J @ cov @ J.T)[None])[0] < 1e-3
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -115,6 +105,13 @@ def test_with_each_constraint_of_the_vehicle(city, altered, asked):
     assert_same_optimum(drive, vehicle={"wheel_speed": False, asked: True})
 
 
+def test_where_some_wheel_speeds_are_gated(city):
+    drive = city(1, 20.0)
+    keys = np.flatnonzero(solvers(drive, vehicle={"wheel_speed": True})[0].car.wheel_row >= 0)
+    out = {"wheel": frozenset(keys[[3, 4, 9]].tolist())}
+    assert_same_optimum(drive, unheld=out, vehicle={"wheel_speed": True})
+
+
 @pytest.mark.parametrize(
     ("node", "settings"),
     [
@@ -132,11 +129,25 @@ def test_with_what_a_node_sees(city, node, settings):
     assert_same_optimum(drive, gnss={"bias_sigma_m": 1.0}, detections=settings, solver=solver)
 
 
+def test_the_last_steps_factor_gives_the_covariances_of_the_optimum(city):
+    """The factor that is left over is that of before the last step."""
+    _, start, chain, _ = solvers(city(0, 30.0))
+    robust = robustness(chain)
+    near, _, _ = chain.optimum(
+        States.of(start, chain.model), replace(robust, plain=True), rough=True
+    )
+    best, _, _ = chain.optimum(near, robust)
+    assert chain._last is not None
+    left_over = chain.covariances(best, robust).poses
+    anew = chain.covariances(replace(best), robust).poses
+    assert 0 < relative(left_over, anew).max() < 1e-3
+
+
 def test_the_cost_anywhere_is_that_of_the_graph(city):
     """Not only at the optimum: attitudes, speeds and biases off by what a bad guess is off by."""
     _, start, chain, whole = solvers(city(0, 10.0), gnss={"loss": "none"})
     rng, robust = np.random.default_rng(0), robustness(chain)
-    step = Vector(0.1 * rng.normal(size=(chain.n, 15)), np.zeros(chain.shared))
+    step = Vector(0.1 * rng.normal(size=(chain.n, 15)), np.zeros(chain.border.size))
     states = chain.moved(States.of(start, chain.model), step)
     graph, values = whole._graph(robust), whole._values(states, robust)
     assert chain.linearize(states, robust, "newton")[0] == pytest.approx(graph.error(values))
@@ -148,7 +159,7 @@ def test_a_step_lowers_the_cost_by_what_it_promises(city):
     states, cost, _ = chain.optimum(States.of(start, chain.model), robust)
     rng = np.random.default_rng(1)
     tangent = 1e-5 * rng.normal(size=(chain.n, 15)) * np.repeat([1, 1e-2], [9, 6])
-    away = chain.moved(states, Vector(tangent, np.zeros(chain.shared)))
+    away = chain.moved(states, Vector(tangent, np.zeros(chain.border.size)))
     value, band = chain.linearize(away, robust, "newton")
     promise = band.factor().solve(band.gradient).dot(band.gradient) / 2
     assert value - cost == pytest.approx(promise, rel=1e-2)

@@ -15,7 +15,8 @@ from fgloc.datasets.city import make_city
 from fgloc.errors import DriveError, InputError
 from fgloc.evaluation.objects import errors_by_object
 from fgloc.infrastructure import Infrastructure, Node
-from fgloc.smoother.cooperative import is_cooperative, new_tree
+from fgloc.smoother import is_cooperative
+from fgloc.smoother.cooperative import new_tree
 from fgloc.smoother.cooperative_model import DEATH_S, Builder, motion, state_key
 from fgloc.verdicts import Verdict
 

@@ -10,7 +10,7 @@ from fgloc.datasets.degrade import degrade
 from fgloc.errors import SolverError
 from fgloc.smoother import sketch
 from fgloc.smoother.chain import Chain
-from fgloc.smoother.guess import guess, gyro_yaw
+from fgloc.smoother.guess import guess, yaw_by_turns
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import Robustness, States
 from fgloc.sync import plan
@@ -22,7 +22,7 @@ def chain_of(drive, **settings):
     """The chain of a drive and its guess."""
     config = load_config(**settings)
     model = Model(drive, plan(drive, config), config)
-    start = guess(model, 0, len(model) - 1, gyro_yaw(model))
+    start = guess(model, 0, len(model) - 1, yaw_by_turns(model))
     return Chain(model, start, model.deltas()[0]), States.of(start, model)
 
 
@@ -55,7 +55,9 @@ def test_the_imu_between_few_keyframes_carries_them_to_all_the_others(city):
     np.testing.assert_allclose(again.p[inner], exact.p[inner], atol=1e-9)
     np.testing.assert_allclose(again.R[inner], exact.R[inner], atol=1e-12)
     few = Chain(
-        sketch.few_model(chain.model, keys), chain._prior, sketch.few_deltas(chain.deltas, keys)
+        sketch.few_model(chain.model, keys, np.zeros(chain.rows, bool)),
+        chain._prior,
+        sketch.few_deltas(chain.deltas, keys),
     )
     term = few._motion(again.take(keys), slice(0, len(keys) - 2))
     assert np.abs(term.error).max() < 1e-4

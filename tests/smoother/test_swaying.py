@@ -18,7 +18,7 @@ from fgloc.factors.sway import compensated
 from fgloc.infrastructure import Infrastructure, Node, Post
 from fgloc.measurements import NodeDetections, NodePoses
 from fgloc.smoother.chain import Chain
-from fgloc.smoother.guess import guess, gyro_yaw
+from fgloc.smoother.guess import guess, yaw_by_turns
 from fgloc.smoother.model import Model
 from fgloc.smoother.native_posts import post_key, told_factors
 from fgloc.smoother.post_evidence import log_density, with_posts
@@ -216,7 +216,7 @@ def test_the_density_of_a_chain_is_that_of_its_dense_system():
     drive = fgloc.make(SCENARIO, seed=1, duration_s=2.0)
     model = Model(drive, plan(drive, load_config()), load_config())
     deltas, _ = model.deltas()
-    start = guess(model, 0, len(model) - 1, gyro_yaw(model))
+    start = guess(model, 0, len(model) - 1, yaw_by_turns(model))
     chain, states = Chain(model, start, deltas), States.of(start, model)
     robust = Robustness(np.zeros(len(model.positions), bool), np.inf, plain=True)
 

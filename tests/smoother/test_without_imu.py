@@ -89,7 +89,7 @@ def test_an_error_of_acceleration_that_is_white_noise_is_told_as_large_as_it_is(
     assert 2.2 < np.mean(nees["fixed-lag"]) < 3.8
 
 
-def test_a_wild_velocity_is_gated_as_it_comes_and_weighed_down_afterwards(run):
+def test_a_wild_velocity_is_gated_as_it_comes_and_in_a_batch(run):
     drive = drive_of("velocity", duration_s=15.0)
     v = np.array(drive.tables["velocity"].v_world_mps)
     v[140] += [0.0, 30.0, 0.0]
@@ -98,7 +98,16 @@ def test_a_wild_velocity_is_gated_as_it_comes_and_weighed_down_afterwards(run):
     told = run(drive, "fixed-lag").verdicts["velocity"]
     assert told.verdict[140] == Verdict.GATED
     assert told.nis[140] > told.threshold[140]
-    assert run(drive, "batch").verdicts["velocity"].verdict[140] == Verdict.DOWN_WEIGHTED
+    assert run(drive, "batch").verdicts["velocity"].verdict[140] == Verdict.GATED
+
+
+def test_a_velocity_tells_the_heading_as_soon_as_the_car_moves(run):
+    drive = drive_of("velocity", duration_s=15.0)
+    v = drive.tables["velocity"].v_world_mps
+    moves_ns = drive.tables["velocity"].t_ns[np.argmax(np.linalg.norm(v, axis=1) > 2.0)]
+    aligned = [e.t_ns for e in run(drive, "fixed-lag").events if e.kind == "aligned"]
+    assert len(aligned) == 1
+    assert aligned[0] <= moves_ns + 1e9
 
 
 def test_velocities_that_come_after_the_lag_are_late(run):
@@ -136,6 +145,13 @@ def test_with_an_imu_velocities_and_odometry_wait_to_be_asked(city, run):
     assert set(told["velocity"]) == set(told["odometry"]) == {"unused"}
     asked = run(drive, motion={"velocities": True}).summary["counts"]["velocity"]
     assert asked["used"] > 250
+
+
+def test_velocities_that_come_from_odometry_do_not_tell_it_twice(run):
+    drive = drive_of("velocity", "odometry", duration_s=15.0)
+    assert set(run(drive).summary["counts"]["velocity"]) == {"unused"}
+    alone = run(drive, motion={"kind": "constant-velocity"}).summary["counts"]["velocity"]
+    assert alone["used"] > 100
 
 
 def test_an_imu_can_be_left_aside(city, run, rmse_m):

@@ -1,0 +1,85 @@
+"""The form in which factors are told: blocks of unknowns, a border that the drive shares, terms."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgloc.errors import SolverError
+from fgloc.factors import noise
+from fgloc.factors.fields import inverse_of_lower, of, rows
+from fgloc.measurements import Array
+from fgloc.smoother.model import Model
+
+POSE, VELOCITY, BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15)
+STATE, FULL = np.arange(9), np.arange(15)
+
+
+class Term(NamedTuple):
+    """M factors of one kind: whitened errors (M, m) and Jacobians (M, m, q).
+
+    blocks  (M,) the keyframe that each begins at
+    at      the unknowns it depends on, counted from that keyframe's first; what the Jacobian has
+            beyond them is by the shared unknowns
+    loss    that lies on it, from a whitened error of `width` on
+    """
+
+    blocks: NDArray[np.int64]
+    at: NDArray[np.int64]
+    error: Array
+    jacobian: Array
+    loss: noise.Loss = "none"
+    width: float = np.inf
+
+
+class Border(NamedTuple):
+    """Where the unknowns that the whole drive shares stand: how late stamps are, the car's
+    calibration, the centre of its box, and what the survey of each source, by number, is off."""
+
+    late: slice
+    car: slice
+    offset: slice
+    survey: dict[int, slice]
+
+    @classmethod
+    def of(cls, model: Model) -> "Border":
+        """Those of a model."""
+        late = slice(0, len(model.shifted_s))
+        car = slice(late.stop, late.stop + 3 * model.car.acts)
+        free = any(source.point_sigma_m for source in model.sources)
+        offset = slice(car.stop, car.stop + 3 * free)
+        surveyed = [s for s, source in enumerate(model.sources) if source.surveyed]
+        survey = {s: slice(offset.stop + 3 * i, offset.stop + 3 * i + 3)
+                  for i, s in enumerate(surveyed)}  # fmt: skip
+        return cls(late, car, offset, survey)
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are."""
+        return int(self.offset.stop) + 3 * len(self.survey)
+
+    def by(self, at: slice | NDArray[np.int64], jacobian: Array) -> Array:
+        """Jacobians (n, m, q) by some of the shared unknowns among those by all of them. One by
+        the sum of several, (n, m, 1), is that by each."""
+        full = np.zeros((*jacobian.shape[:2], self.size))
+        full[:, :, at] = jacobian
+        return full
+
+
+def whitening(model: Model, cov: Array, keys: NDArray[np.int64]) -> Array:
+    """W (m, r, r) with W cov W' = I; SolverError names the keyframe where there is none."""
+    try:
+        L = of(np.asarray(np.linalg.cholesky(cov), np.float64))
+        return np.ascontiguousarray(rows(inverse_of_lower(L)))
+    except np.linalg.LinAlgError as err:
+        sound = np.nan_to_num(cov, nan=-1.0, posinf=-1.0, neginf=-1.0)
+        j = int(keys[np.argmin(np.linalg.eigvalsh(sound)[:, 0] > 0)])
+        raise SolverError(
+            f"the measurements at keyframe {j}, t = {model.t_s[j]:.2f} s, are out of all "
+            "bounds: a covariance cannot be computed from them"
+        ) from err
+
+
+def whitened(W: Array, error: Array) -> Array:
+    """W (m, r, r) times errors (m, r)."""
+    return np.einsum("nij,nj->ni", W, error)
