@@ -23,6 +23,7 @@ from fgloc.datasets.drive_tables import (
     smart_codes_from_columns,
     steering_from_columns,
     table_to_columns,
+    users_from_columns,
     velocity_from_columns,
     wheel_from_columns,
 )
@@ -274,7 +275,7 @@ def _table(
     readers = {
         "imu": imu_from_columns, "wheel": wheel_from_columns, "steering": steering_from_columns,
         "odometry": odometry_from_columns, "velocity": velocity_from_columns,
-        "relative": relative_from_columns,
+        "relative": relative_from_columns, "users": users_from_columns,
     }  # fmt: skip
     return readers[stem](path, columns)
 

@@ -36,6 +36,7 @@ from fgloc.measurements import (
     SmartCodeSightings,
     SteeringAngles,
     Table,
+    UserFixes,
     WheelSpeeds,
 )
 from fgloc.timing import Instants
@@ -52,6 +53,7 @@ CORNERS = tuple(f"{axis}{i}_px" for i in range(4) for axis in "uv")
 RANGE = ("range_m", "sigma_m")
 SEEN_COVARIANCE = ("cov_xx_m2", "cov_xy_m2", "cov_yy_m2")
 PLANE_VELOCITY = ("v_east_mps", "v_north_mps")
+PLANE_COVARIANCE, PLANE_SIGMA = ("cov_ee_m2", "cov_en_m2", "cov_nn_m2"), SIGMA[:2]
 
 _TIME = (Group.of("t_ns"), Group.of("received_ns", required=False))
 LAYOUTS = {
@@ -78,6 +80,14 @@ LAYOUTS = {
     ),
     "relative": Layout((*_TIME, Group.of(*NAMES[1:]), Group.of(*SEEN), Group.of(*SEEN_COVARIANCE))),
     "node_poses": POSES,
+    "users": Layout(
+        (
+            *_TIME,
+            Group.of("user_id"),
+            Group.of(*SEEN_WORLD),
+            Group((PLANE_COVARIANCE, PLANE_SIGMA)),
+        )
+    ),
     "smart_codes": Layout((*_TIME, Group.of("sign"), Group.of(*CODE_SIZE), Group.of(*CORNERS))),
     "ranges": Layout((*_TIME, Group.of("anchor"), Group.of(*RANGE))),
 }
@@ -119,6 +129,9 @@ def table_to_columns(table: Table) -> Columns:
         return columns | unstack(PLANE_VELOCITY, table.v_world_mps)
     if isinstance(table, NodePoses):
         return columns | pose_columns(table)
+    if isinstance(table, UserFixes):
+        columns |= {"user_id": table.user_id} | unstack(SEEN_WORLD, table.p_world_m)
+        return columns | unstack(PLANE_COVARIANCE, table.cov_m2[:, *np.triu_indices(2)])
     if isinstance(table, SmartCodeSightings):
         names = ("sign", *CODE_SIZE)
         corners = unstack(CORNERS, table.corners_px.reshape(-1, 8))
@@ -230,6 +243,22 @@ def relative_from_columns(path: Path, columns: Columns) -> RelativeSightings:
     return RelativeSightings(*_times(columns), object_id, kind, stack(columns, SEEN), cov)
 
 
+def users_from_columns(path: Path, columns: Columns) -> UserFixes:
+    """What other road users say of their places, of a table read from `path`.
+
+    Raises DriveError naming the first row whose covariance cannot be one.
+    """
+    check_increasing(path, columns["t_ns"], duplicates=True)
+    if PLANE_COVARIANCE[0] in columns:
+        cov = symmetric(stack(columns, PLANE_COVARIANCE), 2)
+        remedy = "give what the user states, or remove the row"
+        _check_definite(path, cov, np.ones(len(cov), bool), remedy)
+    else:
+        _check_positive(path, columns, PLANE_SIGMA)
+        cov = stack(columns, PLANE_SIGMA)[:, :, None] ** 2 * np.eye(2)
+    return UserFixes(*_times(columns), columns["user_id"], stack(columns, SEEN_WORLD), cov)
+
+
 def objects_from_columns(path: Path, columns: Columns) -> ObjectTruth:
     """Truth of other road users of a table read from `path`; DriveError where time goes back."""
     check_increasing(path, columns["t_ns"], duplicates=True)
@@ -283,16 +312,21 @@ def _seen_covariance(path: Path, columns: Columns) -> Array:
         return np.full((n, 2, 2), np.nan)
     told = stack(columns, SEEN_COVARIANCE)
     cov = symmetric(told, 2)
-    stated = ~np.isnan(told).all(-1)
-    fine = (told[:, 0] > 0) & (told[:, 0] * told[:, 2] > told[:, 1] ** 2)
-    bad = stated & ~fine
+    stated = np.asarray(~np.isnan(told).all(-1))
+    _check_definite(path, cov, stated, "give what the node states, or leave all of it empty")
+    return cov
+
+
+def _check_definite(path: Path, cov: Array, of: NDArray[np.bool_], remedy: str) -> None:
+    """DriveError at the first of some covariances (N, 2, 2) that is not positive definite."""
+    fine = (cov[:, 0, 0] > 0) & (cov[:, 0, 0] * cov[:, 1, 1] > cov[:, 0, 1] ** 2)
+    bad = of & ~fine
     if bad.any():
         row = int(np.argmax(bad))
         raise DriveError(
             f"{place(path, row)}: the covariance {_as_text(cov[row])} m^2 is not positive definite;"
-            " give what the node states, or leave all of it empty"
+            f" {remedy}"
         )
-    return cov
 
 
 def check_covariances(cov_m2: Array, where: Callable[[int], str]) -> None:

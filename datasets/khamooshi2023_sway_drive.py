@@ -4,8 +4,11 @@ Not a scenario of the thesis, which stops at the pose of the node; it shows what
 The oval passes the node at 5 m and leads 65 m away from it, to either side. The car has GNSS of a
 stated sigma at 10 Hz and an IMU; the node sees the centre of its box ten times a second, as a
 camera (on the ground, through the pose that is believed) or as a LiDAR (rigidly), and a pose
-estimator watches the post as in `khamooshi2023/sway-low`, under gusts.
+estimator watches the post as in `khamooshi2023/sway-low`, under gusts. Other cars with RTK may
+round the oval as well and say where they are; the node sees them and numbers them as it likes.
 """
+
+from typing import TypeVar
 
 import numpy as np
 
@@ -32,7 +35,7 @@ from fgloc.drive import About, Drive, ImuNoise, Rig
 from fgloc.errors import InputError
 from fgloc.factors.sway import Sensor, reported
 from fgloc.infrastructure import Infrastructure, Node
-from fgloc.measurements import VEHICLE, Array, NodeDetections, Table
+from fgloc.measurements import VEHICLE, Array, NodeDetections, Table, UserFixes
 from fgloc.posts import PostStates
 from fgloc.timing import Instants, elapsed_s
 
@@ -49,12 +52,14 @@ RIG = Rig(
     p_veh_ant_m=np.array([1.3, 0.0, 1.5]), p_veh_box_m=np.array([1.3, 0.0, 0.0]),
     imu_noise=ImuNoise(2e-3, 2e-4, 2e-4, 4e-6, 0.1, 0.005),
 )  # fmt: skip
+RTK_SIGMA_M, MOST_USERS, FIRST_USER = 0.02, 5, 100
 _SENSORS = ("camera", "lidar")
+AnyTable = TypeVar("AnyTable", bound=Table)
 
 
 def make_sway_drive(
     seed: int = 0, duration_s: float = 84.0, sensor: str = "camera", gnss_sigma_m: float = 1.0,
-    sways: bool = True, poses: bool = True,
+    sways: bool = True, poses: bool = True, users: int = 0,
 ) -> Drive:  # fmt: skip
     """The drive of a seed; truth of the rear axle at 20 Hz with attitude and velocity.
 
@@ -62,11 +67,14 @@ def make_sway_drive(
     gnss_sigma_m  of the fixes, East and North; twice that up
     sways         without, the post stands still and all else is as it was, noise included
     poses         without, nobody watches the post: the detections alone tell of it
+    users         how many other cars say where they are, to two centimetres
 
     Raises InputError for options that cannot be.
     """
     check_duration(duration_s)
     kind = _sensor(sensor)
+    if users not in range(MOST_USERS + 1):
+        raise InputError(f"users = {users}: expected 0 to {MOST_USERS} other cars")
     if not (np.isfinite(gnss_sigma_m) and gnss_sigma_m > 0):
         raise InputError(f"gnss_sigma_m = {gnss_sigma_m}: expected metres above 0")
     node = Node(NODE.name, NODE.p_world_m, sensor=kind)
@@ -86,6 +94,9 @@ def make_sway_drive(
     if poses:
         rng = stream(seed, "poses")
         tables["node_poses"] = simulate_poses(sway, LOW, post, TILT_NOISE, rng)
+    if users:
+        seen, tables["users"] = _others(users, node, sway, t_ns, seed)
+        tables["detections"] = _merged(tables["detections"], *seen)
     about = About(
         f"Simulated drive past a {kind} on a swaying post, seed {seed}", "MIT",
         f"fgloc scenario {NAME}, seed {seed}, duration_s {duration_s:g}, sensor {kind}", True,
@@ -93,6 +104,34 @@ def make_sway_drive(
     truth = truth_of(motion.every(IMU_HZ // TRUTH_HZ))
     beside = Infrastructure((node,), (post,))
     return Drive(NAME, ORIGIN, RIG, tables, truth, about, beside, post_truth=sway)
+
+
+def _others(
+    users: int, node: Node, sway: PostStates, t_ns: Instants, seed: int
+) -> tuple[list[NodeDetections], UserFixes]:
+    """What the node sees of other cars, spread over the oval, and where these say that they are."""
+    every_ns = t_ns[:: MOTION_HZ // IMU_HZ]
+    seen, told = [], []
+    for number in range(1, users + 1):
+        rng = stream(seed, f"rtk {number}")
+        motion = oval_motion(every_ns, 2 * np.pi * number / (users + 1))
+        seen.append(simulate_detections(motion, node, sway, rng, number))
+        at = motion.every(IMU_HZ // GNSS_HZ)
+        box_m = (at.p_world_m + at.R_world_veh @ RIG.p_veh_box_m)[:, :2]
+        fixes_m = box_m + RTK_SIGMA_M * rng.standard_normal(box_m.shape)
+        cov = np.tile(RTK_SIGMA_M**2 * np.eye(2), (len(at), 1, 1))
+        told.append(
+            UserFixes(at.t_ns, at.t_ns, np.full(len(at), FIRST_USER + number), fixes_m, cov)
+        )
+    return seen, _merged(*told)
+
+
+def _merged(*tables: AnyTable) -> AnyTable:
+    """The rows of all tables in order of time."""
+    columns = {name: np.concatenate([getattr(one, name) for one in tables])
+               for name in vars(tables[0])}  # fmt: skip
+    order = np.argsort(columns["t_ns"], kind="stable")
+    return type(tables[0])(**{name: column[order] for name, column in columns.items()})
 
 
 def _sensor(name: str) -> Sensor:

@@ -83,7 +83,7 @@ _INFOS = (
     DatasetInfo(
         "khamooshi2023/sway-drive", "scenario", 84.0, ("gnss", "imu", "detections", "node_poses"),
         "MIT", "a car passes a node on a swaying post; options duration_s, sensor, gnss_sigma_m, "
-        "sways, poses",
+        "sways, poses, users",
     ),
     DatasetInfo(
         "marr2019/iea", "scenario", 20.0, ("gnss", "velocity", "detections"), "MIT",

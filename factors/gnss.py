@@ -88,8 +88,8 @@ def linked_position_factors(
 
     GTSAM has no such factor: the measured point becomes a variable, tied to the pose through the
     lever-arm variable under the measurement's own noise, loss and all, and
-    point + sum of by[key] x_key = z is linear and next to exact. `by` gives the Jacobian (3, 3) of
-    each vector x: the identity for a bias.
+    point + sum of by[key] x_key = z is linear and next to exact. `by` gives the Jacobian (3, q) of
+    each vector x (q,): the identity for a bias.
     """
     import gtsam
 
@@ -97,7 +97,7 @@ def linked_position_factors(
     exact = gtsam.noiseModel.Isotropic.Sigma(3, TIE_SIGMA_M)
     terms = [part for key, J in ((point_key, np.eye(3)), *by.items()) for part in (key, J)]
     row = gtsam.JacobianFactor(*terms, z_world_m, exact)  # type: ignore[call-overload]
-    return [tie, _linear(row, point_key, *by)]
+    return [tie, _linear(row, {point_key: 3, **{key: J.shape[1] for key, J in by.items()}})]
 
 
 def bias_transition(dt_s: ArrayLike, sigma_m: float, tau_s: float) -> tuple[Array, Array]:
@@ -115,15 +115,18 @@ def bias_transition_factor(
     phi, sigma = bias_transition(dt_s, sigma_m, tau_s)
     model = gtsam.noiseModel.Isotropic.Sigma(3, float(sigma))
     row = gtsam.JacobianFactor(key_i, -phi * np.eye(3), key_j, np.eye(3), np.zeros(3), model)
-    return _linear(row, key_i, key_j)
+    return _linear(row, {key_i: 3, key_j: 3})
 
 
-def _linear(row: gtsam.JacobianFactor, *keys: int) -> gtsam.LinearContainerFactor:
-    """A x = b on vector variables. Without a point of linearisation, here zero, GTSAM takes the
-    row as one on the *change* of the variables and reports no error."""
+def _linear(row: gtsam.JacobianFactor, sizes: dict[int, int]) -> gtsam.LinearContainerFactor:
+    """A x = b on vectors of some sizes, by their keys.
+
+    Without a point of linearisation, here zero, GTSAM takes the row as one on the *change* of the
+    variables and reports no error.
+    """
     import gtsam
 
     zero = gtsam.Values()
-    for key in keys:
-        zero.insert(key, np.zeros(3))
+    for key, size in sizes.items():
+        zero.insert(key, np.zeros(size))
     return gtsam.LinearContainerFactor(row, zero)

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 POSITION, VELOCITY, LOAD = [0, 3], [1, 4], [2, 5]
 """Where the state has displacement, velocity and load, each along x and y."""
 
+ROUNDING = np.array([1e-5, 1e-4, 1e-2])
+"""Sigmas of displacement, velocity and load (m, m/s, m/s^2) that each step of a graph may lose."""
+
 _LONG, _NODES = 5.0, 24
 """A step is long where the fastest part of the motion turns by more rad; below, so many nodes are
 exact to rounding."""
@@ -86,6 +89,19 @@ def axis_spread(post: Post) -> Array:
 def post_step(post: Post, dt_s: float) -> Step:
     """Both axes, (6, 6)."""
     return Step(*(_twice(part) for part in axis_step(post, dt_s)))
+
+
+def whitened_steps(post: Post, dt_s: Array) -> tuple[Array, Array]:
+    """Blocks (m, 6, 6) of the later state and of the earlier one for steps of (m,) s, with noise
+    of one.
+
+    A graph may have states that are microseconds apart; there the wind does so little that a
+    solver of finite precision would lose it, so a noise of `ROUNDING` is added.
+    """
+    steps_s, which = np.unique(dt_s, return_inverse=True)
+    transition, noise = _axis_steps(*_axis(*_numbers(post)), steps_s)
+    root = np.linalg.inv(np.linalg.cholesky(noise + np.diag(ROUNDING) ** 2))
+    return _twice(root)[which], -_twice(root @ transition)[which]
 
 
 def post_spread(post: Post) -> Array:
@@ -171,6 +187,29 @@ def _axis_step(
     return sampled(*_axis(frequency_hz, damping, sigma_mps2, tau_s), dt_s)
 
 
+def _axis_steps(A: Array, density: Array, dt_s: Array) -> Step:
+    """`sampled` for many steps (m,) at once: transitions and noises (m, n, n).
+
+    By the eigenvectors of A, which are distinct where it swings and has a damping below 1.
+    """
+    values, V = np.linalg.eig(A)
+    back = np.linalg.inv(V)
+
+    def grown(t_s: Array) -> Array:
+        return np.asarray((V * np.exp(values * t_s[..., None])[..., None, :]) @ back).real
+
+    transition = grown(dt_s)
+    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
+    within = grown(dt_s[:, None] * (nodes + 1) / 2)
+    shares = dt_s[:, None] * weights / 2
+    short = np.einsum("tk,tkij,jl,tkml->tim", shares, within, density, within, optimize=True)
+    spread = _spread(A, density)
+    long = spread - transition @ spread @ transition.swapaxes(-1, -2)
+    is_long = np.abs(values).max() * dt_s > _LONG
+    noise = np.where(is_long[:, None, None], long, short)
+    return Step(transition, (noise + noise.swapaxes(-1, -2)) / 2)
+
+
 def _spread(A: Array, density: Array) -> Array:
     """Covariance of x' = A x + noise that has gone on for long."""
     from scipy.linalg import solve_continuous_lyapunov
@@ -191,5 +230,7 @@ def _whitened_step(post: Post, dt_s: float) -> tuple[Array, Array]:
 
 
 def _twice(block: Array) -> Array:
-    """The same for either axis."""
-    return np.asarray(np.kron(np.eye(2), block), np.float64)
+    """The same for either axis; of blocks (..., 3, 3)."""
+    both = np.zeros((*block.shape[:-2], 6, 6))
+    both[..., :3, :3] = both[..., 3:, 3:] = block
+    return both

@@ -18,18 +18,15 @@ about an estimate of the state it is renewed and leaves out nothing.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from fgloc.errors import InputError
-from fgloc.factors.post import linear_factor, pose_jacobian
+from fgloc.factors.post import pose_jacobian
 from fgloc.frames import exp_so3, right_jacobian_so3, skew
 from fgloc.infrastructure import Node, Post
 from fgloc.measurements import Array
-
-if TYPE_CHECKING:
-    import gtsam
 
 Sensor = Literal["camera", "lidar"]
 
@@ -106,21 +103,6 @@ def linear_row(
     J = np.linalg.solve(by_point, by_sway @ by_state)
     z_node_m = p_node_m + np.einsum("nij,nj->ni", J, about)
     return np.asarray(node.R_world_node @ J), node.to_world(z_node_m)
-
-
-def detection_factor(
-    place_key: int, place_by_state: Array, post_key: int, by_post: Array, z_world_m: Array,
-    cov_m2: Array,
-) -> gtsam.LinearContainerFactor:  # fmt: skip
-    """The native factor of one linear row, on vector states of the object and of the post.
-
-    place_by_state  (2, d) of the object's East and North by its state, for a point np.eye(2, 3)
-    by_post         (2, 6) and z_world_m (2,) of `linear_row`
-    cov_m2          (2, 2) of the detection, in world axes
-    """
-    root = np.linalg.inv(np.linalg.cholesky(cov_m2))
-    blocks = {place_key: root @ place_by_state, post_key: root @ by_post}
-    return linear_factor(blocks, root @ z_world_m)
 
 
 def _turn(sway: Array) -> Array:

@@ -222,14 +222,14 @@ class SolverConfig(Section):
 
 
 class PostsConfig(Section):
-    """Swaying posts of a drive that has poses of nodes."""
+    """Swaying posts: of a drive that has poses of nodes, or nodes on posts that see vehicles."""
 
     compensate: bool = True
-    """Take the sway back from what the nodes report of vehicles."""
+    """Follow the post of every node that sees vehicles: what the node reports depends on both."""
 
     estimate_mode: bool = False
-    """Seek frequency, damping and load of each post where its poses are likeliest, instead of
-    taking what the drive states; a search over the whole drive, so for a batch alone."""
+    """Seek frequency, damping and load of each post where all that tells of it is likeliest,
+    instead of taking what the drive states; a search over the whole drive, for a batch alone."""
 
 
 class SmoothConfig(Section):

@@ -307,6 +307,28 @@ class NodePoses(Table):
 
 
 @dataclass(frozen=True, eq=False)
+class UserFixes(Table):
+    """Where other road users say that they are, as they broadcast it: the point that nodes see.
+
+    user_id    (N,) number of the road user; nodes have numbers of their own
+    p_world_m  (N, 2) its place, East and North, m
+    cov_m2     (N, 2, 2) its covariance
+    """
+
+    user_id: NDArray[np.int64]
+    p_world_m: Array
+    cov_m2: Array
+
+    KIND = "users"
+    WHOLE = frozenset({"user_id"})
+    SHAPES: ClassVar = {"user_id": (), "p_world_m": (2,), "cov_m2": (2, 2)}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_symmetric(self.KIND, self.cov_m2)
+
+
+@dataclass(frozen=True, eq=False)
 class SmartCodeSightings(Table):
     """Smart Codes as the vehicle's camera reads them.
 
@@ -352,7 +374,7 @@ TABLES: dict[str, type[Table]] = {
     for cls in (
         GnssFixes, ImuSamples, WheelSpeeds, SteeringAngles, Odometry, EnuVelocities, NodeDetections,
         RelativeSightings,
-        NodePoses,
+        NodePoses, UserFixes,
         SmartCodeSightings, Ranges,
     )
 }  # fmt: skip

@@ -21,6 +21,7 @@ from fgloc.evaluation.metric import Metric
 from fgloc.evaluation.objects import score_objects
 from fgloc.frames import Origin
 from fgloc.measurements import Array
+from fgloc.node_health import format_nodes, node_rows
 from fgloc.posts import PostStates
 from fgloc.result import Event, Result
 from fgloc.timing import NS_PER_S
@@ -30,7 +31,7 @@ from fgloc.verdicts import SourceVerdicts, Verdicts
 TRAJECTORY, SMOOTHED = "trajectory", "trajectory_smoothed"
 SUMMARY, VERDICTS, CONFIG, REPORT = "summary.json", "verdicts.csv", "config.toml", "report.html"
 OBJECTS = "objects.csv"
-COMPARISON, POSTS = "compare.json", "posts.csv"
+COMPARISON, POSTS, NODES = "compare.json", "posts.csv", "nodes.csv"
 VERDICT_COLUMNS = (
     "source", "t_ns", "received_ns", "verdict", "nis", "dof", "threshold", "reason",
 )  # fmt: skip
@@ -48,7 +49,7 @@ ALSO = ("gpx", "kml")
 """Formats of the trajectory that are written where they are asked for."""
 FILES = (
     *(f"{stem}.{suffix}" for stem in (TRAJECTORY, SMOOTHED) for suffix in (*_SUFFIXES, *ALSO)),
-    SUMMARY, VERDICTS, CONFIG, REPORT, OBJECTS, POSTS,
+    SUMMARY, VERDICTS, CONFIG, REPORT, OBJECTS, POSTS, NODES,
 )  # fmt: skip
 """Everything that a result folder may hold; these are replaced when it is written again."""
 
@@ -104,6 +105,8 @@ def write_result(
             _write_trajectory(folder, TRAJECTORY, result.trajectory, drive, also)
         if result.posts is not None:
             _write_text(folder / POSTS, format_posts(result.posts, drive))
+        if drive.infrastructure.nodes:
+            _write_text(folder / NODES, format_nodes(node_rows(drive, result.summary)))
         if result.smoothed is not None:
             _write_trajectory(folder, SMOOTHED, result.smoothed, drive, also)
         with (folder / VERDICTS).open("w", encoding="utf-8", newline="\n") as file:

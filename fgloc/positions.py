@@ -28,6 +28,8 @@ REACH_M, REACH_MPS = 50.0, 40.0
 """A candidate farther from the last fix than this, and this for each second since, is not the
 car: no state is spent on it."""
 DEFAULT_TAU_S = 60.0
+EXACT = 1e-6
+"""Sigma, m or rad, of the part of a survey that counts as exact where the other is uncertain."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,7 @@ class PositionSource:
     bias           its slow error, or None
     survey_sigmas  (3,) of the node's survey: east and north in m, yaw in rad; zeros where exact
     point_sigma_m  of `p_veh_m`, each axis; 0 where known
+    sways          whether the node's post is followed
     """
 
     name: str
@@ -54,6 +57,7 @@ class PositionSource:
     bias: GnssBias | None
     survey_sigmas: Array
     point_sigma_m: float
+    sways: bool = False
 
     @property
     def gate_nis(self) -> float:
@@ -70,7 +74,7 @@ class PositionSource:
     @property
     def linked(self) -> bool:
         """Whether a row depends on more unknowns than the pose."""
-        return self.bias is not None or self.surveyed or self.point_sigma_m > 0
+        return self.bias is not None or self.surveyed or self.point_sigma_m > 0 or self.sways
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +133,15 @@ def position_sources(drive: Drive, config: SmoothConfig) -> tuple[PositionSource
         GNSS, GNSS, drive.rig.p_veh_ant_m, np.zeros(3), 3, g, gnss_bias(drive, g), np.zeros(3), 0.0
     )
     nodes = drive.infrastructure.nodes if DETECTIONS in drive.tables else ()
-    return gnss, *(_node_source(drive, node, d) for node in nodes)
+    return gnss, *(
+        _node_source(
+            drive,
+            node,
+            d,
+            sways=config.posts.compensate and drive.infrastructure.post_of(i) is not None,
+        )
+        for i, node in enumerate(nodes)
+    )
 
 
 def _fixes(
@@ -218,7 +230,7 @@ def world_positions(drive: Drive, seen: NodeDetections) -> Array:
 def _detections(
     drive: Drive, seen: NodeDetections, rows: NDArray[np.int64], config: DetectionConfig
 ) -> Positions:
-    seen, up_m = seen.take(rows), _height_m(drive)
+    seen, up_m = seen.take(rows), height_m(drive)
     z = np.column_stack([world_positions(drive, seen), np.full(len(rows), up_m)])
     cov = np.zeros((len(rows), 3, 3))
     cov[:, 2, 2] = FREE_UP_M**2
@@ -240,17 +252,22 @@ def numbered(*columns: NDArray[np.int64]) -> NDArray[np.int64]:
     return number
 
 
-def _height_m(drive: Drive) -> float:
-    """About where the car drives: only where the free heights are linearised."""
+def height_m(drive: Drive) -> float:
+    """Height in m about where the car drives: only where the free heights are linearised."""
     up = drive.gnss.p_world_ant_m[:, 2]
     return float(np.median(up[np.isfinite(up)])) - float(drive.rig.p_veh_ant_m[2])
 
 
-def _node_source(drive: Drive, node: Node, config: DetectionConfig) -> PositionSource:
+def _node_source(
+    drive: Drive, node: Node, config: DetectionConfig, *, sways: bool
+) -> PositionSource:
     survey = np.array([node.sigma_position_m, node.sigma_position_m, node.sigma_yaw_rad])
+    if survey.any():
+        survey = np.maximum(survey, EXACT)
     return PositionSource(
         node.name, DETECTIONS, drive.rig.p_veh_box_m, node.p_world_m, 2, config,
         _slow(config, GnssBias(node.bias_sigma_m, node.bias_tau_s)), survey, config.offset_sigma_m,
+        sways,
     )  # fmt: skip
 
 

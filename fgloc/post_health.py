@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from fgloc.drive import Drive
-from fgloc.measurements import Array, NodePoses
+from fgloc.measurements import Array, NodeDetections, NodePoses
 from fgloc.posts import PostStates
 from fgloc.timing import NS_PER_S
 
@@ -24,19 +24,25 @@ def post_health(drive: Drive, posts: PostStates) -> dict[str, dict[str, Any]]:
     latency_s              median time from a pose to its arrival
     """
     found = {}
-    table = drive.tables[NodePoses.KIND]
     for node in np.unique(posts.node).tolist():
         post = drive.infrastructure.post_of(node)
-        if post is None or not isinstance(table, NodePoses):
+        if post is None:
             continue
         length_m = np.linalg.norm(posts.of(node).p_node_m, axis=-1)
         found[post.node] = {
             "frequency_hz": post.frequency_hz, "damping": post.damping,
             "rms_m": float(np.sqrt(np.mean(length_m**2))), "largest_m": float(length_m.max()),
             "strongest_hz": strongest_hz(posts.of(node)),
-            **_arrival(table.take(table.node == node)),
+            **_watched(drive, node),
         }  # fmt: skip
     return found
+
+
+def _watched(drive: Drive, node: int) -> dict[str, Any]:
+    """How the poses of a node came in, where there are any."""
+    poses = drive.tables.get(NodePoses.KIND)
+    own = poses.take(poses.node == node) if isinstance(poses, NodePoses) else ()
+    return arrival(own, "poses") if isinstance(own, NodePoses) and len(own) else {}
 
 
 def amplitudes_m(posts: PostStates) -> tuple[Array, Array]:
@@ -60,14 +66,20 @@ def strongest_hz(posts: PostStates) -> float | None:
     return float(frequency_hz[np.argmax(np.linalg.norm(amplitude_m, axis=-1))])
 
 
-def _arrival(poses: NodePoses) -> dict[str, Any]:
-    """What is known of how the poses of one node came in."""
-    latency_s = float(np.median(poses.received_ns - poses.t_ns)) / NS_PER_S
-    instants = np.unique(poses.t_ns)
-    told: dict[str, Any] = {"poses": len(poses), "latency_s": latency_s}
-    if len(instants) < 3:
+def arrival(
+    rows: NodePoses | NodeDetections, name: str, absent_s: float = np.inf
+) -> dict[str, Any]:
+    """What is known of how the rows of one node, one or more, came in.
+
+    How many there are is called `name`. Instants more than `absent_s` apart have none missing
+    between them.
+    """
+    latency_s = float(np.median(rows.received_ns - rows.t_ns)) / NS_PER_S
+    told: dict[str, Any] = {name: len(rows), "latency_s": latency_s}
+    steps_s = np.asarray(np.diff(np.unique(rows.t_ns)) / NS_PER_S, float)
+    steps_s = steps_s[steps_s <= absent_s]
+    if len(steps_s) < 2:
         return told | {"rate_hz": None, "missing_share": None}
-    period_ns = float(np.median(np.diff(instants)))
-    expected = round(float(instants[-1] - instants[0]) / period_ns) + 1
-    missing = max(1 - len(instants) / expected, 0.0)
-    return told | {"rate_hz": NS_PER_S / period_ns, "missing_share": missing}
+    period_s = float(np.median(steps_s))
+    expected = max(round(float(steps_s.sum()) / period_s), len(steps_s))
+    return told | {"rate_hz": 1 / period_s, "missing_share": 1 - len(steps_s) / expected}

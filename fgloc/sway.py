@@ -1,105 +1,21 @@
-"""What a drive tells of its swaying posts, sorted by node, and the result of who estimates them.
-
-Every estimator of posts, filter or graph, gets the same `Watch` of each node and gives back its
-states at the watch's instants.
-"""
+"""States of posts as tables, and the result of who estimates posts and no vehicle."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgloc.drive import Drive
-from fgloc.errors import DriveError
 from fgloc.factors.post import POSITION, VELOCITY, tilt_rad
-from fgloc.infrastructure import Post
-from fgloc.measurements import Array, NodePoses
+from fgloc.measurements import Array
 from fgloc.post_health import post_health
 from fgloc.posts import PostStates
 from fgloc.result import Result
-from fgloc.timing import NS_PER_S, Instants
+from fgloc.timing import NS_PER_S
 from fgloc.trajectory import Trajectory
-from fgloc.verdicts import SourceVerdicts, Verdict, Verdicts, counts
-
-SOURCE = NodePoses.KIND
-
-
-@dataclass(frozen=True, eq=False)
-class Watch:
-    """One post and what pose estimators say of it.
-
-    node    its number, `name` what it is called
-    rows    (n,) rows of the drive's table
-    told    (n, 4) displacement x, y in m, roll and pitch in rad, NaN where not told
-    sigmas  (n, 4) of these
-    t_ns    (k,) the instants at which anything is told, k <= n
-    state   (n,) which instant a row belongs to, never less than that of the row before
-    """
-
-    node: int
-    name: str
-    post: Post
-    rows: NDArray[np.int64]
-    told: Array
-    sigmas: Array
-    t_ns: Instants
-    state: NDArray[np.int64]
-
-    @property
-    def steps_s(self) -> Array:
-        """Time (k - 1,) from each instant to the next."""
-        return np.diff(self.t_ns) / NS_PER_S
-
-    def rows_of(self, k: int) -> range:
-        """Which of `told` are of the k-th instant."""
-        first, after = np.searchsorted(self.state, [k, k + 1]).tolist()
-        return range(first, after)
-
-
-def watches(drive: Drive, method: str) -> tuple[list[Watch], Verdicts]:
-    """A watch of each node with a post, and the verdicts on all tables.
-
-    Raises DriveError where no pose of a node with a post can be used.
-    """
-    verdicts = {
-        name: SourceVerdicts.of(name, table, Verdict.UNUSED, f"{method} takes {SOURCE} alone")
-        for name, table in drive.tables.items()
-    }
-    poses = drive.tables.get(SOURCE)
-    if not isinstance(poses, NodePoses):
-        have = ", ".join(drive.tables) or "nothing"
-        raise DriveError(f"drive {drive.name!r} has no {SOURCE} (it has {have}); {method} needs it")
-    judged = verdicts[SOURCE]
-    judged.set(slice(None), Verdict.UNUSED, "the node has no [[post]]")
-    found = []
-    for node in np.unique(poses.node).tolist():
-        post = drive.infrastructure.post_of(node)
-        if post is not None:
-            found += _watch(poses, node, post, judged)
-    if not found:
-        raise DriveError(
-            f"drive {drive.name!r}: no finite pose of a node with a post; say in drive.toml which "
-            "node stands on one, as [[post]]"
-        )
-    return found, verdicts
-
-
-def _watch(poses: NodePoses, node: int, post: Post, judged: SourceVerdicts) -> list[Watch]:
-    """The watch of one node, or none where it has no usable row."""
-    of_node = poses.node == node
-    finite = np.isfinite(poses.p_node_m).all(-1) & (poses.sigma_p_m > 0).all(-1)
-    judged.set(of_node & ~finite, Verdict.INVALID, "displacement or its sigma is not finite")
-    rows = np.flatnonzero(of_node & finite)
-    if not len(rows):
-        return []
-    judged.set(rows, Verdict.USED)
-    told = np.concatenate([poses.p_node_m, poses.tilt_rad], -1)[rows]
-    sigmas = np.concatenate([poses.sigma_p_m, poses.sigma_tilt_rad], -1)[rows]
-    told[~np.isfinite(sigmas)] = np.nan
-    t_ns, state = np.unique(poses.t_ns[rows], return_inverse=True)
-    return [Watch(node, post.node, post, rows, told, sigmas, t_ns, state)]
+from fgloc.verdicts import Verdicts, counts
+from fgloc.watches import Watch
 
 
 def post_states(watch: Watch, states: Array, cov: Array) -> PostStates:

@@ -6,7 +6,7 @@ an aiding measurement is true, at either end of an IMU gap, and at least every
 epochs, which the IMU alone reaches.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,9 +26,11 @@ from fgloc.errors import DriveError
 from fgloc.measurements import Array, ImuSamples
 from fgloc.motion import Motion, credit, kind_of, made_up, measured
 from fgloc.positions import Positions, measured_positions, repeats
+from fgloc.references import References, find_references
 from fgloc.result import Event
 from fgloc.timing import Instants, elapsed_s, seconds_to_ns
 from fgloc.verdicts import SourceVerdicts, Verdict
+from fgloc.watches import Watch, beside_cars
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,8 @@ class Epochs:
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Epochs of a drive, what leads from one to the next, the positions measured and the vehicle's
-    constraints at them, the first verdicts on every row, and what there was to remark."""
+    constraints at them, the first verdicts on every row, and what there was to remark; besides,
+    the detections of users whose places are known, and what is told of swaying posts."""
 
     epochs: Epochs
     motion: Motion
@@ -80,6 +83,8 @@ class Plan:
     constraints: Constraints
     verdicts: dict[str, SourceVerdicts]
     events: tuple[Event, ...]
+    references: References = field(default_factory=References.none)
+    posts: tuple[Watch, ...] = ()
 
 
 def plan(drive: Drive, config: SmoothConfig) -> Plan:
@@ -98,8 +103,12 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
     first, last = positions.t_ns[0], imu.t_ns[-1]
     if not motion.is_made_up:
         _judge_early(drive.imu, imu, first, verdicts["imu"])
+    references = find_references(drive, config, (int(first), int(last)), verdicts)
+    posts = beside_cars(drive, config, *_seen(positions, references), np.array([first, last]))
+    positions = positions.take(~_claimed(positions, references))
     gaps = _gaps(imu, first, motion.gap_s)
-    keyframes = _merged(positions.t_ns, gaps.ravel(), [first, last])
+    told_ns = positions.t_ns, references.t_ns, *(watch.t_ns for watch in posts)
+    keyframes = _merged(*told_ns, gaps.ravel(), [first, last])
     rows = chosen_rows(drive, keyframes, config, motion, verdicts)
     credit(motion, verdicts)
     keyframes = _merged(keyframes, *_times(drive, rows))
@@ -121,7 +130,21 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
         held,
         verdicts,
         (*_carried(motion, t_ns), *_gap_events(gaps, motion)),
+        references,
+        posts,
     )
+
+
+def _seen(positions: Positions, references: References) -> tuple[NDArray[np.int64], Instants]:
+    """Which node saw something of use, and when."""
+    own = positions.candidates
+    node = np.concatenate([positions.source[own], references.source]) - 1
+    return node, np.concatenate([positions.t_ns[own], references.t_ns])
+
+
+def _claimed(positions: Positions, references: References) -> NDArray[np.bool_]:
+    """Candidates that are another road user, who says where it is."""
+    return np.asarray(positions.candidates & np.isin(positions.row, references.row))
 
 
 def _motion(drive: Drive, config: SmoothConfig, verdicts: dict[str, SourceVerdicts]) -> Motion:

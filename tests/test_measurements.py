@@ -16,6 +16,7 @@ from fgloc.measurements import (
     RelativeSightings,
     SmartCodeSightings,
     SteeringAngles,
+    UserFixes,
     WheelSpeeds,
     freeze,
 )
@@ -43,7 +44,7 @@ def test_every_kind_of_table_is_known_by_its_name():
         "gnss": GnssFixes, "imu": ImuSamples, "wheel": WheelSpeeds, "steering": SteeringAngles,
         "odometry": Odometry, "velocity": EnuVelocities, "detections": NodeDetections,
         "relative": RelativeSightings,
-        "node_poses": NodePoses,
+        "node_poses": NodePoses, "users": UserFixes,
         "smart_codes": SmartCodeSightings, "ranges": Ranges,
     } == TABLES  # fmt: skip
 

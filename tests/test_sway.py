@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from fgloc.infrastructure import Infrastructure, Node, Post
 from fgloc.measurements import NodePoses
 from fgloc.posts import PostStates
 from fgloc.smoother.post_modes import log_likelihood, sought
-from fgloc.sway import watches
+from fgloc.watches import watches
 
 LOW, HIGH = "khamooshi2023/sway-low", "khamooshi2023/sway-high"
 POST = Post("pole", 10.0, 1.5, 0.02, 20.0, 0.138, 200.0, 0.3)
@@ -156,7 +157,7 @@ def test_frequency_damping_and_load_are_found_from_the_poses():
     other = dataclasses.replace(POST, frequency_hz=1.8, damping=0.06, load_sigma_n=100.0)
     drive = own_wind(7, n=1200, post=other)
     watch = dataclasses.replace(watches(drive, "test")[0][0], post=POST)
-    post, errors = sought(watch)
+    post, errors = sought(watch.post, partial(log_likelihood, watch))
     for name, error in zip(("frequency_hz", "damping", "load_sigma_n"), errors, strict=False):
         off = np.log(getattr(post, name) / getattr(other, name))
         assert abs(off) < 3 * error

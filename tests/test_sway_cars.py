@@ -2,34 +2,49 @@
 
 import numpy as np
 import pytest
-from sway_cars import ego, estimate, five_ways, removed_share
+from sway_cars import LEFT, SCENARIO, drives, removed_share, rmse_m, ways
 
 import fgloc
 
 
 @pytest.fixture(scope="module")
-def ways():
-    return five_ways(11, "camera", duration_s=45.0)
+def of():
+    return drives(11, "camera", duration_s=45.0)
 
 
-def test_ignored_sway_is_felt_far_away(ways):
-    share = ways["sway ignored"] / ways["no sway"]
-    assert share[0] > 3
-    assert ways["sway ignored"][3] > 3 * ways["sway ignored"][1]
+@pytest.fixture(scope="module")
+def found(of):
+    return ways(of)
 
 
-def test_with_poses_the_graph_removes_four_fifths_at_every_range(ways):
-    assert np.all(removed_share(ways, "graph with poses") > 0.8)
-    assert np.all(ways["graph with poses"] <= 1.02 * ways["taken back by the observer"])
+def test_ignored_sway_is_felt_far_away(found):
+    assert found["sway ignored"][0] > 3 * found["no sway"][0]
+    assert found["sway ignored"][3] > 3 * found["sway ignored"][1]
 
 
-def test_two_cars_with_rtk_remove_half_without_any_pose(ways):
-    assert np.all(removed_share(ways, "graph, two RTK cars, no poses") > 0.5)
+def test_with_poses_the_graph_removes_four_fifths_of_it(found):
+    share = removed_share(found, "graph with poses")
+    assert share[0] > 0.8 and share[3] > 0.8
+    assert found["graph with poses"][0] < found["taken back by khamooshi2023-uio"][0]
 
 
-def test_where_nothing_sways_the_posts_states_cost_little():
-    still = fgloc.make("khamooshi2023/sway-drive", seed=3, duration_s=20.0, sways=False)
-    car = ego(still)
-    found = [estimate(still, [car], None, joint=joint) for joint in (False, True)]
-    errors = [np.sqrt(((found_m - car.true_m) ** 2).sum(-1).mean()) for found_m in found]
-    assert errors[1] < 1.25 * errors[0]
+def test_two_cars_with_rtk_remove_half_without_any_pose(found):
+    share = removed_share(found, "graph without poses, two RTK cars")
+    assert share[0] > 0.5 and share[3] > 0.5
+    assert found["graph without poses, two RTK cars"][0] < found["graph without poses"][0]
+
+
+def test_where_nothing_sways_the_posts_states_cost_little(of):
+    assert rmse_m(of["still"])[0] < 1.4 * rmse_m(of["still"], LEFT)[0]
+
+
+def test_a_causal_run_follows_the_post_too():
+    drive = fgloc.make(SCENARIO, seed=3, duration_s=20.0)
+    followed, ignored = (fgloc.smooth(drive, "fixed-lag", settings=s) for s in ((), (LEFT,)))
+    errors = [fgloc.score(one.trajectory, drive.truth, score_from_s=8.0)["horizontal_rmse_m"].value
+              for one in (followed, ignored)]  # fmt: skip
+    assert errors[0] < 0.7 * errors[1]
+    off = followed.posts.p_node_m - drive.post_truth.p_node_m[::20]
+    assert np.mean((off / followed.posts.sigma_p_m) ** 2) == pytest.approx(1.0, abs=0.35)
+    assert followed.summary["counts"]["node_poses"] == {"used": 201}
+    assert np.isfinite(followed.verdicts["node_poses"].nis).all()

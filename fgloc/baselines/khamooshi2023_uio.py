@@ -36,7 +36,8 @@ from fgloc.factors.post import oscillator
 from fgloc.infrastructure import Post
 from fgloc.measurements import Array
 from fgloc.result import Result
-from fgloc.sway import Watch, result, table, watches
+from fgloc.sway import result, table
+from fgloc.watches import Watch, watches
 
 PRINTED, KINEMATIC = "khamooshi2023-uio-printed", "khamooshi2023-uio"
 LOAD_INPUT = np.array([[0.0], [1.0]])

@@ -10,8 +10,9 @@ from fgloc.baselines import RAW
 from fgloc.drive import Drive
 from fgloc.posts import PostStates
 from fgloc.result import Result
-from fgloc.sway import SOURCE, Watch, result, watches
+from fgloc.sway import result
 from fgloc.verdicts import Verdict
+from fgloc.watches import SOURCE, Watch, watches
 
 METHOD = f"{RAW}{SOURCE}"
 

@@ -13,8 +13,9 @@ from fgloc.factors import noise
 from fgloc.factors.post import pose_jacobian, post_spread, post_step
 from fgloc.measurements import Array
 from fgloc.result import Result
-from fgloc.sway import SOURCE, Watch, post_states, result, watches
+from fgloc.sway import post_states, result
 from fgloc.verdicts import SourceVerdicts
+from fgloc.watches import SOURCE, Watch, watches
 
 METHOD = "sway-kf"
 

@@ -50,7 +50,7 @@ def render(of: Scene, scores: Mapping[str, Metric] | None) -> str:
     return render_page(
         "report.html.j2", drive=of.drive, result=of.result, facts=_facts(of),
         tiles=tables.tiles(of, scores),
-        posts=health_rows(of),
+        nodes=health_rows(of),
         figures=list(_figures(of)), metrics=tables.metric_rows(scores or {}),
         has_truth=of.drive.truth is not None or of.drive.post_truth is not None,
         has_errors=of.errors is not None or of.result.posts is not None,

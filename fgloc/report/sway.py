@@ -1,8 +1,12 @@
 """Figures of posts: how they sway, and at which frequencies."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from fgloc.measurements import Array
+from fgloc.node_health import COLUMNS, node_rows
 from fgloc.post_health import LEAST_ROWS, amplitudes_m
 from fgloc.posts import PostStates
 from fgloc.report.scene import Scene
@@ -66,12 +70,18 @@ def sway_spectrum_figure(scene: Scene) -> Spec | None:
 
 
 def health_rows(scene: Scene) -> list[dict[str, str]]:
-    """A row for each post: what the drive states of it, how it sways, how its poses arrive."""
-    rows = []
-    for name, told in scene.result.summary.get("posts", {}).items():
-        numbers = {key: "" if value is None else number(value) for key, value in told.items()}
-        rows.append({"name": name, **numbers})
-    return rows
+    """A row for each node, as in `nodes.csv`: numbers as text, empty where nothing is known; a
+    number with a sigma has it beside it."""
+    return [_shown(row) for row in node_rows(scene.drive, scene.result.summary)]
+
+
+def _shown(row: Mapping[str, Any]) -> dict[str, str]:
+    values = {key: row.get(key) for key in COLUMNS if key != "node"}
+    texts = {key: "" if value is None else number(value) for key, value in values.items()}
+    for key in texts:
+        if sigma := texts.get(f"sigma_{key}"):
+            texts[key] += f" ± {sigma}"
+    return {"name": row["node"], **texts}
 
 
 def _told(scene: Scene, posts: PostStates, node: int) -> list[tuple[PostStates, str, str]]:

@@ -13,12 +13,17 @@ from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
 from fgloc.errors import InputError
 from fgloc.measurements import NodeDetections, RelativeSightings
+from fgloc.post_health import post_health
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
 from fgloc.smoother.batch import run_batch
+from fgloc.smoother.chain import Chain
 from fgloc.smoother.model import OBSERVED_YAW_RAD, Model
-from fgloc.smoother.roadside import roadside
-from fgloc.smoother.steady import steadied
+from fgloc.smoother.post_evidence import likelier, refuse_gtsam
+from fgloc.smoother.post_results import post_table
+from fgloc.smoother.posts import refuse_search
+from fgloc.smoother.roadside import causal_states, roadside
+from fgloc.smoother.states import SharedSigmas
 from fgloc.sync import plan
 from fgloc.verdicts import counts
 
@@ -99,15 +104,12 @@ def is_cooperative(drive: Drive) -> bool:
 
 
 def _vehicle(drive: Drive, config: SmoothConfig) -> Result:
-    """A drive with a vehicle; what its nodes saw while they swayed is put right first."""
-    run = _batch if config.mode == "batch" else _online
-    steady = steadied(drive, config)
-    if steady is None:
-        return run(drive, config)
-    return steady.completed(run(steady.drive, config))
+    """A drive with a vehicle, and with the posts of the nodes that see it."""
+    return _batch(drive, config) if config.mode == "batch" else _online(drive, config)
 
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:
+    refuse_gtsam(config)
     model = _model(Model, drive, config)
     clocks.refuse_unanchored(config, model.aids, model.plan.motion.kind)
     run = run_batch(model)
@@ -122,11 +124,18 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
         model = _model(Model, drive, in_force)
         model.shifted_s = shifted_s
         run = run_batch(model)
+    sought: dict[str, Any] = {}
+    if config.posts.estimate_mode and model.plan.posts and isinstance(run.solver, Chain):
+        model, sought["posts_sought"] = likelier(model, run.solver, run.states, run.robust)
+        run = run_batch(model)
     summary = _summary(model, run.factors) | {"iterations": run.iterations, "cost": run.cost}
+    summary |= sought
     known = run.yaw_sigma_rad < OBSERVED_YAW_RAD
     summary["yaw_observable_s"] = 0.0 if known else None
     events = [*model.plan.events, *run.events]
     summary |= roadside(model, run.states, run.sigmas)
+    if run.posts is not None:
+        summary["posts"] = post_health(drive, run.posts)
     if config.clock.estimate:
         found = clocks.shifted(in_force, run.states.late_s)
         summary["clock"] = clocks.summary(found, run.sigmas.late_s)
@@ -135,7 +144,7 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
     verdicts = clocks.stamped_as_read(model.plan.verdicts, drive)
     return Result(
         run.log.trajectory(model), verdicts, summary, summary["method"], causal=False,
-        events=_in_order(tuple(events)), config=_provenance(config),
+        events=_in_order(tuple(events)), config=_provenance(config), posts=run.posts,
     )  # fmt: skip
 
 
@@ -150,11 +159,18 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
     from fgloc.smoother.online import Online
 
     clocks.refuse_causal(config)
+    refuse_search(config)
     model = _model(GraphModel, drive, config)
     lag_s = config.lag_s if config.mode == "fixed-lag" else None
     online = Online(model, lag_s)
     online.run()
     summary = _summary(model, online.factors)
+    survey, sigmas = online.survey()
+    states = causal_states(model, online.log, online.posts.x, survey)
+    summary |= roadside(model, states, SharedSigmas(survey=sigmas))
+    posts = post_table(model, online.posts.x, online.posts.P)
+    if posts is not None:
+        summary["posts"] = post_health(drive, posts)
     seen = online.yaw_observable_ns
     summary["yaw_observable_s"] = None if seen is None else (seen - int(model.t_ns[0])) / 1e9
     return Result(
@@ -162,6 +178,7 @@ def _online(drive: Drive, config: SmoothConfig) -> Result:
         summary["method"], causal=True,
         smoothed=online.last.trajectory(model) if online.last else None,
         events=_in_order((*model.plan.events, *online.events)), config=_provenance(config),
+        posts=posts,
     )  # fmt: skip
 
 

@@ -119,6 +119,11 @@ class BorderedFactor:
         y = self.cov_border @ (right.border - np.tensordot(self._border, x, ((0, 1), (0, 1))))
         return Vector(x - self._carried @ y, y)
 
+    @property
+    def log_determinant(self) -> float:
+        """Natural logarithm of the determinant of [[H, B], [B', C]]."""
+        return self._factor.log_determinant - float(np.linalg.slogdet(self.cov_border)[1])
+
     def inverse_blocks(self, keep: NDArray[np.int64]) -> Array:
         """Rows and columns `keep` (q,) of the n diagonal blocks of the inverse, (n, q, q)."""
         own = self._factor.inverse_blocks(keep)
@@ -139,6 +144,11 @@ class Factor:
             raise NotPositiveError(failed - 1)
         self._columns = band.T
         self._panels = _panels(self._columns, n)
+
+    @property
+    def log_determinant(self) -> float:
+        """Natural logarithm of the determinant of H."""
+        return 2 * float(np.log(self._columns[:, 0]).sum())
 
     def solve(self, right: Array) -> Array:
         """X (n, d, k) of H X = right (n, d, k)."""

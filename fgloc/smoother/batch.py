@@ -12,12 +12,14 @@ from fgloc.errors import ConfigError, SolverError
 from fgloc.factors import imu, noise
 from fgloc.measurements import Array
 from fgloc.positions import DETECTIONS, GNSS
+from fgloc.posts import PostStates
 from fgloc.result import Event
 from fgloc.smoother.chain import Chain, position_errors
 from fgloc.smoother.dense import fill
 from fgloc.smoother.guess import Guess, choose_yaw, guess, misfit, stretch, yaw_by_turns
 from fgloc.smoother.left_out import LeftOut, leave_out
 from fgloc.smoother.model import Model
+from fgloc.smoother.post_results import judge_batch, post_table
 from fgloc.smoother.states import (
     Robustness,
     SharedSigmas,
@@ -67,6 +69,9 @@ class Solver(Protocol):
     def held_term(self, source: str, states: States, at: NDArray[np.int64]) -> Term:
         """What one of the vehicle's own sources says at some keyframes."""
 
+    def post_covariances(self, states: States, robust: Robustness) -> Array:
+        """Of the states of the posts in all slots, (n, q, q)."""
+
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """Of what the drive shares and the graph estimates."""
 
@@ -84,6 +89,9 @@ class BatchRun:
     states: States
     sigmas: SharedSigmas
     left_out: Mapping[str, LeftOut]
+    posts: PostStates | None
+    solver: Solver
+    robust: Robustness
 
 
 def run_batch(model: Model) -> BatchRun:
@@ -128,7 +136,11 @@ def run_batch(model: Model) -> BatchRun:
     factors = solver.factors - int(robust.gated.sum()) - sum(map(len, robust.unheld.values()))
     events = _remarks(model, solver, robust, limits, settled=settled)
     sigmas = solver.shared_sigmas(states, robust)
-    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, told)
+    posts_cov = solver.post_covariances(states, robust)
+    judge_batch(model, states, posts_cov)
+    posts = post_table(model, states.posts, posts_cov)
+    return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, told, posts,
+                    solver, robust)  # fmt: skip
 
 
 def _settle(
@@ -147,7 +159,7 @@ def _settle(
     )
     width, fixes = np.inf, ~left_out
     if model.config.gnss.loss != "none" and fixes.any():
-        error = position_errors(model, states, n)[fixes]
+        error = position_errors(model, states, np.arange(n))[fixes]
         norm = np.sqrt(noise.nis(error, model.cov_m2[:n][fixes]))
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
@@ -166,7 +178,7 @@ def _alone(model: Model, states: States, P: Array) -> NDArray[np.bool_]:
     """Which of the positions (rows,) are candidates that pass the gate while no other of the frame
     does; P is the covariance of what they measure as predicted without them."""
     p, n = model.positions, len(P)
-    nis = noise.nis(position_errors(model, states, n), P + model.cov_m2[:n])
+    nis = noise.nis(position_errors(model, states, np.arange(n)), P + model.cov_m2[:n])
     gates = np.array([source.gate_nis for source in model.sources])
     fits = p.candidates[:n] & (nis <= gates[p.source[:n]])
     return np.asarray(fits & (np.bincount(p.frame[:n], fits)[p.frame[:n]] == 1))
@@ -270,7 +282,7 @@ def _turned(model: Model, solver: Solver, start: Guess) -> Guess:
 
 def _positions(model: Model, states: States, P: Array, robust: Robustness) -> LeftOut:
     """Every position as all others predict it, from the covariances (rows, 3, 3) of predictions."""
-    R, error = model.cov_m2, position_errors(model, states, len(P))
+    R, error = model.cov_m2, position_errors(model, states, np.arange(len(P)))
     weight = _weights(model, np.sqrt(noise.nis(error, R)), robust.loss_width)
     return leave_out(model.key_of, error, P, R, weight, ~robust.gated)
 

@@ -1,5 +1,6 @@
 """The graph of a drive as a chain: its optimum, and the covariance there, from a banded system."""
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -39,10 +40,12 @@ class Chain(Terms):
         """
         slow = [self._slow(s).sigma_m for s in self.slow_at for _ in range(3)]
         scale = np.array([1.0] * 9 + [*self.model.bias_sigmas, *slow])
+        swaying = self.model.swaying
+        own = np.append(scale**-2, swaying.damping if swaying.slots else [])
         border = np.ones(self.border.size)
         if self.model.car.acts:
             border[self.border.car] = self.model.car.calibration_sigmas**-2
-        return Vector(scale**-2, border)
+        return Vector(own, border)
 
     def first(self, n: int) -> "Chain":
         """The same for the first n keyframes alone."""
@@ -67,7 +70,7 @@ class Chain(Terms):
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
         if not np.isfinite(cost):
-            far = np.abs(position_errors(self.model, states, self.rows)).max(-1)
+            far = np.abs(position_errors(self.model, states, np.arange(self.rows))).max(-1)
             raise self._failure(int(self.key_of[np.nanargmax(far)]) * self.width)
         self.converged = descent.converged
         if descent.factor is not None:
@@ -83,14 +86,17 @@ class Chain(Terms):
         few = Chain(model, self._prior, deltas)
         nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
         try:
-            found, cost, iterations = few.optimum(states.take(keys), nothing, rough=True)
+            # A sketch has no posts: nothing that it holds tells of them.
+            start = replace(states.take(keys), posts=np.zeros((few.n, 0)))
+            found, cost, iterations = few.optimum(start, nothing, rough=True)
         except SolverError:  # the whole chain may do better, or say where it fails
             return None
         if not cost <= misfit(few.rows):
             return None
         self._sketched = few, found
         g = self.model.gravity_mps2
-        return sketch.all_states(found, keys, self.deltas, self.bias_of, g), cost, iterations
+        drawn = sketch.all_states(found, keys, self.deltas, self.bias_of, g)
+        return replace(drawn, posts=states.posts), cost, iterations
 
     @cached_property
     def _few(self) -> tuple[NDArray[np.int64], imu.ImuDeltas] | None:
@@ -101,7 +107,7 @@ class Chain(Terms):
     def rough_predictions(self, states: States) -> Array | None:
         """Covariances (rows, 3, 3) in m^2 of what the positions measure as predicted, about: from
         the last sketch. None where there is none, or where more than the pose has a part in it."""
-        if self._few is None or self._sketched is None or self.border.size or self.slow_at:
+        if self._few is None or self._sketched is None or self.border.size or self.width > 15:
             return None
         (keys, _), (few, found) = self._few, self._sketched
         nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
@@ -126,11 +132,12 @@ class Chain(Terms):
             states.p + np.einsum("nij,nj->ni", states.R, step[:, 3:6]),
             states.v + step[:, VELOCITY],
             states.bias + step[first][:, BIAS],
-            states.slow + step[:, 15:],
+            states.slow + step[:, 15 : self.post_first],
             states.late_s - back.border[self.border.late],
             calibration,
             states.offset - (back.border[self.border.offset] if self._estimates_offset else 0.0),
             self._resurveyed(states.survey, back.border),
+            states.posts + step[:, self.post_first :],
         )
 
     @property
@@ -196,6 +203,11 @@ class Chain(Terms):
         """What one of the vehicle's own sources says at some keyframes."""
         return self.held.term(source, states, at)
 
+    def post_covariances(self, states: States, robust: Robustness) -> Array:
+        """Of the posts' states, those of all slots together (n, q, q)."""
+        own = np.arange(self.post_first, self.width)
+        return self._factor(states, robust).inverse_blocks(own)
+
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """Of what the drive shares and this graph estimates."""
         if not self.border.size:
@@ -227,7 +239,7 @@ class Chain(Terms):
         j, i = divmod(unknown, self.width)
         slow = [f"slow error of {self.model.sources[s].name}" for s in self.slow_at]
         name = ["attitude", "position", "velocity", "accelerometer bias", "gyro bias",
-                *slow][i // 3]  # fmt: skip
+                *slow, *["post"] * (2 * self.model.swaying.slots)][i // 3]  # fmt: skip
         t_ns = int(self.model.t_ns[j])
         return SolverError(
             f"the solver failed at the {name} of keyframe {j}, t = {self.model.t_s[j]:.2f} s "
@@ -254,14 +266,14 @@ class Known:
         return np.asarray(J @ known @ J.swapaxes(-1, -2))
 
 
-def position_errors(model: Model, states: States, n: int) -> Array:
-    """Predicted minus measured positions (n, 3) of the first n rows, ENU m, lateness and all."""
-    error, source = np.empty((n, 3)), model.positions.source[:n]
+def position_errors(model: Model, states: States, rows: NDArray[np.int64]) -> Array:
+    """Predicted minus measured positions (m, 3) of some rows, ENU m, lateness and all."""
+    error, source = np.empty((len(rows), 3)), model.positions.source[rows]
     for s in np.unique(source).tolist():
-        rows = np.flatnonzero(source == s)
-        told = position_residual(model, states, rows, s)
+        own = np.flatnonzero(source == s)
+        told = position_residual(model, states, rows[own], s)
         late = len(clocks.acting(model.config, model.sources[s].table)) and states.late_s.any()
-        error[rows] = late_residual(model, states, rows, s, told).error if late else told.error
+        error[own] = late_residual(model, states, rows[own], s, told).error if late else told.error
     return error
 
 

@@ -4,7 +4,7 @@ Batch, incremental and fixed lag all build their graphs here. Keyframe j has a p
 velocity V(j) as `model.py` says. Biases B(m) are shared. A position, row i of the positions, whose
 source has errors to be estimated adds the measured point A(i), and C(i) where one of them is slow;
 L(0) and L(1) are the lever arms to antenna and box, and S(s) is what the survey of source s is off.
-What the vehicle's constraints add is in `native_car.py`.
+What the vehicle's constraints add is in `native_car.py`, what posts that sway, `native_posts.py`.
 """
 
 from dataclasses import dataclass
@@ -27,6 +27,7 @@ from fgloc.smoother.model import (
     Model,
 )
 from fgloc.smoother.native_car import NativeCar
+from fgloc.smoother.native_posts import NativePosts, told_factors
 from fgloc.smoother.tree import Thresholds
 from fgloc.sync import Plan
 
@@ -60,6 +61,7 @@ class GraphModel(Model):
     """A model that builds its factors."""
 
     car: NativeCar
+    swaying: NativePosts
 
     def __init__(self, drive: Drive, plan: Plan, config: SmoothConfig) -> None:
         super().__init__(drive, plan, config)
@@ -67,6 +69,9 @@ class GraphModel(Model):
 
     def _car(self) -> NativeCar:
         return NativeCar(self.drive, self.plan, self.config, self.bias_of, self.noise)
+
+    def _swaying(self) -> NativePosts:
+        return NativePosts(self.drive, self.plan.posts, self.t_ns)
 
     @cached_property
     def thresholds(self) -> Thresholds:
@@ -150,7 +155,26 @@ class GraphModel(Model):
         by = {C(i): np.eye(3)} if source.bias is not None else {}
         if source.surveyed:
             by[S(s)] = -detection.by_survey(z[None], source.p_world_m)[0]
+        if s in self.swaying.of_source:
+            row = self.swaying.row(s, int(self.positions.row[i]), j)
+            by[row.key] = np.pad(row.J, ((0, 1), (0, 0)))
+            z = z + np.append(row.moved_m, 0.0)
         return gnss.linked_position_factors(X(j), A(i), self._lever_key(s), z, model, by)
+
+    def reference_factors(self, i: int) -> Factors:
+        """What a node sees of the user of row i of the references, whose place is known."""
+        found = self.references
+        s, z, by = int(found.source[i]), found.z_world_m[i], {}
+        source = self.sources[s]
+        model = noise.gaussian(found.cov_world_m2[i])
+        model = noise.robust(model, source.settings.loss, source.settings.loss_width)
+        if source.surveyed:
+            arm = np.append(z, 0.0)[None]
+            by[S(s)] = -detection.by_survey(arm, source.p_world_m)[0, :2]
+        if s in self.swaying.of_source:
+            row = self.swaying.row(s, int(found.row[i]), int(self.reference_key[i]))
+            by[row.key], z = row.J, z + row.moved_m
+        return told_factors(i, found.told_m[i], z, model, by)
 
     def _position_noise(self, i: int, s: int, width: float) -> Any:
         """The noise model of a row, built once where a source's covariance stays the same."""
@@ -203,9 +227,13 @@ class GraphModel(Model):
         `slow` is about what the source's slow error (3,) is, in m: the measured point is put where
         that says, so that the loss sees what remains.
         """
-        source = self.sources[int(self.positions.source[i])]
+        s = int(self.positions.source[i])
+        source, z = self.sources[s], self.positions.z_world_m[i]
+        if s in self.swaying.of_source:
+            row = self.swaying.row(s, int(self.positions.row[i]), int(self.key_of[i]))
+            z = z + np.append(row.believed_m, 0.0)
         if source.linked:
-            values.insert(A(i), self.positions.z_world_m[i] - np.asarray(slow, float))
+            values.insert(A(i), z - np.asarray(slow, float))
         if source.bias is not None:
             values.insert(C(i), np.array(slow, float))
 

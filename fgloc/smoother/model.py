@@ -21,6 +21,7 @@ from fgloc.measurements import Array
 from fgloc.positions import position_sources
 from fgloc.smoother import velocities
 from fgloc.smoother.car import Car
+from fgloc.smoother.swaying import Swaying, occurrence
 from fgloc.sync import Plan
 from fgloc.timing import elapsed_s
 
@@ -50,6 +51,12 @@ class Model:
         self.t_ns = self.epochs.t_ns[self.epoch_of]
         self.t_s = elapsed_s(self.t_ns, int(self.t_ns[0]))
         self.key_of = np.searchsorted(self.t_ns, self.positions.t_ns)
+        self.swaying = self._swaying()
+        self.references = plan.references
+        self.reference_key = np.searchsorted(self.t_ns, self.references.t_ns)
+        self.reference_layer = occurrence(
+            self.reference_key * len(self.sources) + self.references.source
+        )
         self.noise: Noise = plan.motion.noise or _imu_noise(drive, config)
         self.level_sigma_rad = plan.motion.level_sigma_rad
         gravity_mps2 = config.imu.gravity_mps2 or drive.origin.gravity_mps2()
@@ -64,6 +71,9 @@ class Model:
 
     def _car(self) -> Car:
         return Car(self.drive, self.plan, self.config, self.bias_of, self.noise)
+
+    def _swaying(self) -> Swaying:
+        return Swaying(self.drive, self.plan.posts, self.t_ns)
 
     @property
     def aids(self) -> list[str]:

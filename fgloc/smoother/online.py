@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, V, X
+from gtsam.symbol_shorthand import B, S, V, X
 
 from fgloc.errors import SolverError
 from fgloc.factors import imu
@@ -24,6 +24,7 @@ from fgloc.smoother.guess import Guess, choose_yaw, guess, stretch, yaw_by_turns
 from fgloc.smoother.model import OBSERVED_YAW_RAD, YAW_SIGMA_RAD
 from fgloc.smoother.online_car import OnlineCar
 from fgloc.smoother.online_positions import OnlinePositions
+from fgloc.smoother.online_posts import OnlinePosts
 from fgloc.smoother.solve import (
     explain_failure,
     first_values,
@@ -69,6 +70,7 @@ class Online:
         self._states: dict[int, State] = {}
         self._covs: dict[int, Array] = {}
         self._positions = OnlinePositions(model, self.events)
+        self.posts = OnlinePosts(model)
         self._car = OnlineCar(model)
         self._harvested = 0
 
@@ -87,6 +89,14 @@ class Online:
         """Factors in the tree at the end."""
         return int(self._tree.isam.getFactorsUnsafe().nrFactors())
 
+    def survey(self) -> tuple[dict[int, Array], dict[int, Array]]:
+        """What each node's survey is off at the end (3,) and the sigmas (3,), m, m and rad, by the
+        number of its source."""
+        tree, sources = self._tree, self.model.sources
+        own = [s for s, source in enumerate(sources) if source.surveyed and tree.holds(S(s))]
+        sigmas = {s: np.sqrt(np.diag(tree.covariance([S(s)]))) for s in own}
+        return {s: tree.vector(S(s)) for s in own}, sigmas
+
     def _step(self, j: int, rows: list[int]) -> None:
         """Carry the state to keyframe j, take in what has arrived, write the epochs."""
         model, values = self.model, gtsam.Values()
@@ -103,13 +113,15 @@ class Online:
         new_bias = j == 0 or bool(model.bias_of[j] != model.bias_of[j - 1])
         model.insert(values, j, state, new_bias=new_bias)
         factors += self._car.take_in(j, state, predicted, values, self._tree, aligned=self._aligned)
+        factors += self.posts.take_in(j, values, self._tree)
         more, far = self._positions.take_in(
-            j, rows, values, state.pose, self._covs, self._tree, aligned=self._aligned
+            j, rows, values, state.pose, self._covs, self._tree, self.posts, aligned=self._aligned
         )
         self._harvest(j)
         self._update(j, [*factors, *more], values, EXTRA_UPDATES if far else 0)
         self._positions.weigh(far, self._tree)
         self._car.read(j, self._tree)
+        self.posts.read(j, self._tree)
         if not self._aligned and rows:
             self._try_to_align(j)
         self._note_yaw(j)
@@ -144,6 +156,7 @@ class Online:
         states = [self._states[k] for k in range(first, j + 1)]
         rows = self._positions.since(first)
         values = window_values(self.model, first, states, rows, self._car.axes)
+        self.posts.insert(values, first, j + 1 - first)
         try:
             self._regrow(first, j, self._window(first, j, prior), values, "qr")
         except (RuntimeError, SolverError) as again:
@@ -171,6 +184,7 @@ class Online:
         groups = self._window(first, j, model.prior_factors(first, base, YAW_SIGMA_RAD))
         start = self._choose_yaw(start, groups, rows)
         values = first_values(model, start, j + 1 - first, rows)
+        self.posts.insert(values, first, j + 1 - first)
         self._regrow(first, j, groups, values, model.config.solver.factorization)
         self._aligned = True
         self._event(j, "aligned", "a course is told: yaw started from it, the past re-solved")
@@ -184,6 +198,7 @@ class Online:
 
         def cost(turned: Guess) -> float:
             values = first_values(model, turned, n, rows)
+            self.posts.insert(values, start.first, n)
             return float(graph.error(optimize(graph, values, model)[0]))
 
         return choose_yaw(start, fixes, cost)
@@ -195,7 +210,7 @@ class Online:
             self.model.motion_factors(k, self._intervals[k].pim) for k in range(first + 1, j + 1)
         ]
         for k in range(first, j + 1):
-            groups[k - first] += self._car.factors(k)
+            groups[k - first] += self._car.factors(k) + self.posts.factors(k, first)
         for k, factors in self._positions.factors(first):
             groups[k - first] += factors
         return groups
@@ -226,6 +241,7 @@ class Online:
             t = float(self.model.t_s[k])
             stamps |= {X(k): t, V(k): t, B(int(self.model.bias_of[k])): t}
         stamps |= self._positions.stamps(first) | self._car.stamps(first, j)
+        stamps |= self.posts.stamps(first, j)
         return stamps | dict.fromkeys(self._alive(j), float(self.model.t_s[j]))
 
     def _alive(self, j: int) -> list[int]:
@@ -277,9 +293,11 @@ class Online:
     def _finish(self, rows: list[int]) -> None:
         """Take in what arrived after the last keyframe; read what is still to be read."""
         j, values = len(self.model) - 1, gtsam.Values()
-        late, _ = self._positions.take_in(
-            j, rows, values, self._states[j].pose, self._covs, self._tree, aligned=self._aligned,
-        )  # fmt: skip
+        late = self.posts.take_in(j + 1, values, self._tree)
+        late += self._positions.take_in(
+            j, rows, values, self._states[j].pose, self._covs, self._tree, self.posts,
+            aligned=self._aligned,
+        )[0]  # fmt: skip
         self._positions.finish()
         late += self._car.finish(self._tree, aligned=self._aligned)
         if late:
@@ -304,6 +322,7 @@ class Online:
                 del store[oldest]
         self._car.forget(keep)
         self._positions.forget(keep)
+        self.posts.forget(keep)
 
     def _held_s(self) -> float:
         """How much of the past a fixed lag holds now, s."""

@@ -19,6 +19,7 @@ from fgloc.result import Event
 from fgloc.smoother.batch import explain
 from fgloc.smoother.graph import Factors, GraphModel
 from fgloc.smoother.online_car import arrivals
+from fgloc.smoother.online_posts import OnlinePosts
 from fgloc.smoother.tree import Stamps, WholeTree
 from fgloc.verdicts import SourceVerdicts, Verdict
 
@@ -64,7 +65,7 @@ class OnlinePositions:
 
     def take_in(
         self, j: int, rows: list[int], values: gtsam.Values, pose: gtsam.Pose3,
-        covs: Mapping[int, Array], tree: WholeTree, *, aligned: bool,
+        covs: Mapping[int, Array], tree: WholeTree, posts: OnlinePosts, *, aligned: bool,
     ) -> tuple[Factors, list[int]]:  # fmt: skip
         """Factors of the rows that are in time and pass the gate, and those of them that lie far.
 
@@ -79,7 +80,7 @@ class OnlinePositions:
             key = int(self.model.key_of[i])
             if key not in at:
                 at[key] = tree.pose(X(key))
-            told.append(self._compare(i, at[key], covs[key][:6, :6]))
+            told.append(self._compare(i, at[key], covs[key][:6, :6], posts))
         accepted = [one for one in told if not self._is_candidate(one.i)
                     and self._accept_fix(one, aligned=aligned)]  # fmt: skip
         frames: dict[int, list[Told]] = {}
@@ -129,8 +130,8 @@ class OnlinePositions:
         verdicts.set(row, Verdict.LATE, f"{age_s:.2f} s old; {why}")
         return True
 
-    def _compare(self, i: int, pose: gtsam.Pose3, cov: Array) -> Told:
-        """Row i against a predicted pose with its covariance (6, 6)."""
+    def _compare(self, i: int, pose: gtsam.Pose3, cov: Array, posts: OnlinePosts) -> Told:
+        """Row i against a predicted pose with its covariance (6, 6), and its node's post."""
         model, p = self.model, self.model.positions
         s = int(p.source[i])
         source, R = model.sources[s], pose.rotation().matrix()
@@ -138,6 +139,10 @@ class OnlinePositions:
         error = pose.transformFrom(model.levers[s]) - p.z_world_m[i]
         S = H @ cov @ H.T + R_own + source.point_sigma_m**2 * np.eye(3)
         S += (source.bias.sigma_m**2 if source.bias else 0.0) * np.eye(3)
+        if s in model.swaying.of_source:
+            moved, spread = posts.moved(s, int(p.row[i]), int(model.key_of[i]))
+            error[:2] -= moved
+            S[:2, :2] += spread
         nis = float(noise.nis(error, S))
         # What a slow error can take up does not move the state.
         alone = 0.0 if source.linked else float(noise.nis(error, R_own))

@@ -8,8 +8,9 @@ not excite the post says nothing of its frequency. The load has to be a wind: un
 likeliest post is one that swings at the sine's frequency.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from fgloc.factors.post import axis_spread, axis_step
 from fgloc.infrastructure import Post
 from fgloc.measurements import Array
-from fgloc.sway import Watch
+from fgloc.watches import Watch
 
 SOUGHT = ("frequency_hz", "damping", "load_sigma_n", "load_tau_s")
 PRIOR_SIGMAS = (0.3, 1.0, 1.5, 1.5)
@@ -34,28 +35,39 @@ def with_modes(found: Sequence[Watch]) -> tuple[list[Watch], dict[str, Any]]:
     """
     watches, summary = [], {}
     for watch in found:
-        post, errors = sought(watch)
+        post, errors = sought(watch.post, partial(log_likelihood, watch))
         watches.append(replace(watch, post=post))
-        summary[watch.name] = {
-            name: {"value": getattr(post, name), "stated": getattr(watch.post, name),
-                   "relative_error": error}
-            for name, error in zip(SOUGHT, errors, strict=True)
-        }  # fmt: skip
+        summary[watch.name] = summary_of(watch.post, post, errors)
     return watches, summary
 
 
-def sought(watch: Watch) -> tuple[Post, list[float]]:
-    """The likeliest post, and the standard errors of the logarithms of its numbers."""
+def summary_of(stated: Post, post: Post, errors: Sequence[float]) -> dict[str, Any]:
+    """What is told of a post that was sought."""
+    return {
+        name: {"value": getattr(post, name), "stated": getattr(stated, name),
+               "relative_error": error}
+        for name, error in zip(SOUGHT, errors, strict=True)
+    }  # fmt: skip
+
+
+def sought(
+    stated: Post, density: Callable[[Post], float], tolerance: float = 1e-9
+) -> tuple[Post, list[float]]:
+    """The likeliest post, and the standard errors of the logarithms of its numbers.
+
+    `density` is the logarithm of that of all measurements; a step that changes it by less than the
+    share `tolerance` is the last.
+    """
     from scipy.optimize import minimize
 
     def cost(change: Array) -> float:
         prior = float(np.sum((change / PRIOR_SIGMAS) ** 2)) / 2
-        return prior - log_likelihood(watch, _changed(watch.post, change))
+        return prior - density(_changed(stated, change))
 
     best = minimize(cost, np.zeros(4), method="L-BFGS-B", bounds=[(-4.0, 4.0)] * 4,
-                    options={"eps": 1e-5, "ftol": 1e-9})  # fmt: skip
+                    options={"eps": 1e-5, "ftol": tolerance})  # fmt: skip
     curvature = _curvature(cost, best.x)
-    return _changed(watch.post, best.x), np.sqrt(np.diag(np.linalg.pinv(curvature))).tolist()
+    return _changed(stated, best.x), np.sqrt(np.diag(np.linalg.pinv(curvature))).tolist()
 
 
 def log_likelihood(watch: Watch, post: Post) -> float:
@@ -116,8 +128,10 @@ def _changed(post: Post, change: Array) -> Post:
 
 def _curvature(cost: Any, at: Array) -> Array:
     """Second derivatives (4, 4) by differences."""
-    steps = _DIFFERENCE * np.eye(len(at))
-    return np.array([
-        [cost(at + a + b) - cost(at + a - b) - cost(at - a + b) + cost(at - a - b) for b in steps]
-        for a in steps
-    ]) / (4 * _DIFFERENCE**2)  # fmt: skip
+    n, steps = len(at), _DIFFERENCE * np.eye(len(at))
+    result = np.zeros((n, n))
+    for i, j in zip(*np.triu_indices(n), strict=True):
+        a, b = steps[i], steps[j]
+        bend = cost(at + a + b) - cost(at + a - b) - cost(at - a + b) + cost(at - a - b)
+        result[i, j] = result[j, i] = bend / (4 * _DIFFERENCE**2)
+    return result

@@ -1,7 +1,7 @@
 """Posts that sway, as a graph of their own: a chain of states, the wind as its noise, poses on it.
 
 All factors are linear in vector states (`fgloc.factors.post`), so GTSAM solves a whole drive in one
-step and iSAM2 never relinearises. Where a drive has vehicles as well, see `steady`.
+step and iSAM2 never relinearises. Where a drive has vehicles as well, see `swaying`.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from fgloc.factors.post import pose_factor, pose_jacobian, rest_factor, sway_fac
 from fgloc.measurements import Array
 from fgloc.result import Result
 from fgloc.smoother.post_modes import with_modes
-from fgloc.sway import SOURCE, Watch, post_states, result, watches
+from fgloc.sway import post_states, result
 from fgloc.verdicts import SourceVerdicts
+from fgloc.watches import SOURCE, Watch, watches
 
 if TYPE_CHECKING:
     import gtsam
@@ -36,11 +37,7 @@ def smooth_posts(drive: Drive, config: SmoothConfig, method: str) -> Result:
     Raises DriveError where the drive has no poses of a post, InputError where a causal mode is to
     estimate frequencies, SolverError where GTSAM gives up.
     """
-    if config.posts.estimate_mode and config.mode != "batch":
-        raise InputError(
-            f"posts.estimate_mode looks at the whole drive and goes with mode batch, not with "
-            f"{config.mode}; leave it out"
-        )
+    refuse_search(config)
     found, verdicts = watches(drive, method)
     extra = {}
     if config.posts.estimate_mode:
@@ -52,6 +49,15 @@ def smooth_posts(drive: Drive, config: SmoothConfig, method: str) -> Result:
         drive, method, tables, verdicts, causal=config.mode != "batch", mode=config.mode,
         factors=factors, extra=extra, config=config.model_dump(exclude_none=True),
     )  # fmt: skip
+
+
+def refuse_search(config: SmoothConfig) -> None:
+    """Raise InputError where a causal mode is to seek the numbers of posts."""
+    if config.posts.estimate_mode and config.mode != "batch":
+        raise InputError(
+            f"posts.estimate_mode looks at the whole drive and goes with mode batch, not with "
+            f"{config.mode}; leave it out"
+        )
 
 
 def factors_of(watch: Watch, k: int) -> list[gtsam.NonlinearFactor]:
@@ -72,7 +78,7 @@ def estimated(watch: Watch, config: SmoothConfig, judged: SourceVerdicts) -> Est
         estimate = solve(watch)
     except RuntimeError as err:
         raise SolverError(f"the post of node {watch.name!r} cannot be solved: {err}") from err
-    _judge(watch, estimate, judged)
+    judge(watch, estimate, judged)
     return estimate
 
 
@@ -125,7 +131,7 @@ def _added(
     return smoother.calculateEstimateVector(_key(k)), smoother.marginalCovariance(_key(k))
 
 
-def _judge(watch: Watch, estimate: Estimate, judged: SourceVerdicts) -> None:
+def judge(watch: Watch, estimate: Estimate, judged: SourceVerdicts) -> None:
     """NIS of every row against what is known without it.
 
     An estimate that holds a measurement gives it back: with the residual r, of covariance

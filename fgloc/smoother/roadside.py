@@ -1,14 +1,22 @@
 """What a solved drive tells of the nodes beside its road."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from fgloc.factors.detection import by_survey
 from fgloc.measurements import Array
 from fgloc.positions import DETECTIONS
+from fgloc.smoother.beside import reference_errors
+from fgloc.smoother.chain import position_errors
 from fgloc.smoother.model import Model
-from fgloc.smoother.states import SharedSigmas, States
+from fgloc.smoother.states import SharedSigmas, StateLog, States
 from fgloc.verdicts import Verdict
+
+LEAST_ROWS = 10
+"""For a fit of what a node is off."""
 
 
 def roadside(model: Model, states: States, sigmas: SharedSigmas) -> dict[str, Any]:
@@ -22,6 +30,16 @@ def roadside(model: Model, states: States, sigmas: SharedSigmas) -> dict[str, An
     return told
 
 
+def causal_states(model: Model, log: StateLog, posts: Array, survey: Mapping[int, Array]) -> States:
+    """The keyframes of a log, with posts and surveys as they were found; slow errors at zero."""
+    at, n = model.epoch_of, len(model)
+    off = np.zeros((len(model.sources), 3))
+    for s, value in survey.items():
+        off[s] = value
+    zeros = np.zeros((n, 6)), np.zeros((n, 3 * len(model.slow)))
+    return States(log.R[at], log.p[at], log.v[at], *zeros, survey=off, posts=posts)
+
+
 def _node(model: Model, s: int, states: States, sigmas: SharedSigmas) -> dict[str, Any]:
     """Of one node: how many frames saw the car and how well, its slow error, its survey."""
     p, verdicts = model.positions, model.plan.verdicts[DETECTIONS]
@@ -33,7 +51,8 @@ def _node(model: Model, s: int, states: States, sigmas: SharedSigmas) -> dict[st
         "frames": len(np.unique(p.frame[own])), "car_seen": int(used.sum()),
         "nis_mean": _mean(verdicts.nis[rows][used]), "delay_mean_s": _mean(delay_s),
     }  # fmt: skip
-    if s in model.slow and used.any():
+    told |= _residual(model, s, states, np.flatnonzero(own)[used])
+    if s in model.slow and used.any() and model.config.mode == "batch":
         at = 3 * model.slow.index(s)
         keys = model.key_of[own][used]
         told["slow_error_rms_m"] = float(
@@ -44,6 +63,24 @@ def _node(model: Model, s: int, states: States, sigmas: SharedSigmas) -> dict[st
         told["survey_off_m"] = _with_sigma(off[:2], sigma[:2])
         told["survey_off_rad"] = _with_sigma(off[2:], sigma[2:])
     return told
+
+
+def _residual(model: Model, s: int, states: States, rows: NDArray[np.int64]) -> dict[str, float]:
+    """Shift and turn of a node about itself that fit best what its used detections, and those of
+    users whose places are known, still differ by from the solution."""
+    found, node = model.references, model.sources[s].p_world_m
+    known = np.flatnonzero(found.source == s)
+    error = [position_errors(model, states, rows)[:, :2], reference_errors(model, states, known, s)]
+    cov = np.concatenate([model.cov_world_m2[rows, :2, :2], found.cov_world_m2[known]])
+    z = np.concatenate([model.positions.z_world_m[rows, :2], found.z_world_m[known]])
+    if len(z) < LEAST_ROWS:
+        return {}
+    W = np.linalg.inv(np.linalg.cholesky(cov))
+    J = W @ by_survey(np.pad(z, ((0, 0), (0, 1))), node)[:, :2]
+    e = np.einsum("nij,nj->ni", W, np.concatenate(error))
+    fit = np.linalg.lstsq(J.reshape(-1, 3), e.ravel(), rcond=None)[0]
+    names = ("residual_east_m", "residual_north_m", "residual_yaw_rad")
+    return dict(zip(names, fit.tolist(), strict=True))
 
 
 def _mean(values: Array) -> float | None:

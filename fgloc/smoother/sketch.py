@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fgloc.factors import imu
 from fgloc.factors.preintegration import join
+from fgloc.references import References
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import States
 
@@ -50,6 +51,8 @@ def few_model(model: Model, keys: Keys, gated: NDArray[np.bool_]) -> Model:
         model.plan,
         epochs=replace(epochs, is_keyframe=is_keyframe),
         positions=model.positions.take(there),
+        references=References.none(),
+        posts=(),
     )
     few = Model(model.drive, plan, model.config)
     few.shifted_s = model.shifted_s
@@ -79,7 +82,7 @@ def all_states(
         told = imu.predict(deltas.take(i), R[i], p[i], v[i], bias[i], gravity_mps2)
         R[i + 1], p[i + 1], v[i + 1] = told
     first = np.searchsorted(bias_of[:n], bias_of[:n])
-    return replace(few, R=R, p=p, v=v, bias=bias[first], slow=few.slow[of])
+    return replace(few, R=R, p=p, v=v, bias=bias[first], slow=few.slow[of], posts=few.posts[of])
 
 
 def _steps(keys: Keys, first: int = 0) -> Iterator[tuple[Keys, Keys]]:

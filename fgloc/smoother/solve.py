@@ -11,6 +11,7 @@ from fgloc.measurements import Array
 from fgloc.smoother.graph import GraphModel, State
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.model import Model
+from fgloc.smoother.native_posts import ROOM
 from fgloc.smoother.tree import WholeTree
 from fgloc.timing import iso_utc
 
@@ -23,6 +24,8 @@ _MEANING = {
     "a": ("measured point", "the measurement's covariance is not usable"),
     "l": ("lever arm", "its prior is missing"),
     "s": ("survey", "its prior is missing"),
+    "p": ("post", "its bending mode or its load is out of all bounds"),
+    "u": ("place of another road user", "the covariance of what it tells is not usable"),
     "y": ("axes of the car", "position or attitude is not held by any measurement"),
     "w": ("velocity of the point that does not slide", "the velocity is not held"),
     "k": ("scale and mounting", "no constraint observes them"),
@@ -97,6 +100,10 @@ def explain_failure(err: Exception, model: Model) -> SolverError:
     name, missing = _MEANING.get(letter, (letter, "it is not observed"))
     if letter == "b":
         index = int(np.searchsorted(model.bias_of, index))
+    elif letter == "p":
+        index %= ROOM
+    elif letter == "u":
+        index = int(model.reference_key[min(index, len(model.reference_key) - 1)])
     elif letter in "ac":
         index = int(model.key_of[min(index, len(model.key_of) - 1)])
     j = min(index, len(model) - 1)

@@ -22,7 +22,8 @@ class States:
     that have one (n, 3 for each) in m. Of the whole drive, how late the stamps of each source are
     whose clock is estimated (k,), in s, the car's calibration (3,), see `Car`, how far the box's
     centre is from where the rig says (3,) in m, and of each source what its survey is off (3,):
-    east and north in m, yaw in rad."""
+    east and north in m, yaw in rad. `posts` (n, 6 for each slot) are those of swaying posts, see
+    `Swaying`."""
 
     R: Array
     p: Array
@@ -33,6 +34,7 @@ class States:
     calibration: Array = field(default_factory=lambda: vehicle.STRAIGHT)
     offset: Array = field(default_factory=lambda: np.zeros(3))
     survey: Array = field(default_factory=lambda: np.zeros((1, 3)))
+    posts: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def first(self, n: int) -> "States":
         """Those of the first n keyframes."""
@@ -40,7 +42,7 @@ class States:
 
     def take(self, rows: Any) -> "States":
         """Those of the keyframes that a slice, mask or index array selects."""
-        own = ("R", "p", "v", "bias", "slow")
+        own = ("R", "p", "v", "bias", "slow", "posts")
         return replace(self, **{name: getattr(self, name)[rows] for name in own})
 
     @classmethod
@@ -49,7 +51,8 @@ class States:
         n = len(guess.p_world_m)
         return cls(guess.R_world_veh, guess.p_world_m, guess.v_world_mps, np.zeros((n, 6)),
                    np.zeros((n, 3 * len(model.slow))), np.zeros(len(model.shifted_s)),
-                   survey=np.zeros((len(model.sources), 3)))  # fmt: skip
+                   survey=np.zeros((len(model.sources), 3)),
+                   posts=np.zeros((n, model.swaying.width)))  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.errors import SolverError
 from fgloc.factors import noise
+from fgloc.factors.fields import inverse_of_lower, of, rows
 from fgloc.measurements import Array
 from fgloc.smoother.model import Model
 
@@ -62,3 +64,22 @@ class Border(NamedTuple):
         full = np.zeros((*jacobian.shape[:2], self.size))
         full[:, :, at] = jacobian
         return full
+
+
+def whitening(model: Model, cov: Array, keys: NDArray[np.int64]) -> Array:
+    """W (m, r, r) with W cov W' = I; SolverError names the keyframe where there is none."""
+    try:
+        L = of(np.asarray(np.linalg.cholesky(cov), np.float64))
+        return np.ascontiguousarray(rows(inverse_of_lower(L)))
+    except np.linalg.LinAlgError as err:
+        sound = np.nan_to_num(cov, nan=-1.0, posinf=-1.0, neginf=-1.0)
+        j = int(keys[np.argmin(np.linalg.eigvalsh(sound)[:, 0] > 0)])
+        raise SolverError(
+            f"the measurements at keyframe {j}, t = {model.t_s[j]:.2f} s, are out of all "
+            "bounds: a covariance cannot be computed from them"
+        ) from err
+
+
+def whitened(W: Array, error: Array) -> Array:
+    """W (m, r, r) times errors (m, r)."""
+    return np.einsum("nij,nj->ni", W, error)

@@ -2,7 +2,8 @@
 
 The cost is that of the graph which `graph.py` builds for GTSAM; a test holds the two together. A
 block of unknowns belongs to each keyframe: pose (rotation, then translation, in the vehicle frame),
-velocity, IMU bias, and the slow error of each source of positions that has one. A bias that several
+velocity, IMU bias, the slow error of each source of positions that has one, and the states of the
+posts that sway (`swaying.py`). A bias that several
 keyframes share is kept once for each of them; the curvature sees a walk of next to nothing between
 the copies, the cost none, so that the optimum is exact. What the whole drive shares stands in the
 border: how late stamps are, the car's calibration, the centre of its box, and what each node's
@@ -17,13 +18,12 @@ from numpy.typing import NDArray
 
 from fgloc.constraints import STANDSTILL
 from fgloc.drive import GnssBias
-from fgloc.errors import SolverError
 from fgloc.factors import detection, gnss, imu, vehicle
-from fgloc.factors.fields import inverse_of_lower, of, rows
 from fgloc.frames import log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
 from fgloc.measurements import Array
 from fgloc.positions import GNSS
 from fgloc.smoother import clocks
+from fgloc.smoother.beside import Beside, moved
 from fgloc.smoother.guess import Guess
 from fgloc.smoother.held import Held
 from fgloc.smoother.model import (
@@ -33,7 +33,16 @@ from fgloc.smoother.model import (
     Model,
 )
 from fgloc.smoother.states import Robustness, States
-from fgloc.smoother.term import BIAS, POSE, STATE, VELOCITY, Border, Term
+from fgloc.smoother.term import (
+    BIAS,
+    POSE,
+    STATE,
+    VELOCITY,
+    Border,
+    Term,
+    whitened,
+    whitening,
+)
 
 COPY_SHARE = 1e-5
 """Of a bias step's variance, the part that the curvature gives to each copy within an interval."""
@@ -48,27 +57,16 @@ class Terms:
         self.model, self.deltas, self.n, self._prior = model, deltas, n, prior
         self.bias_of = model.bias_of[:n]
         self.slow_at = {s: 15 + 3 * c + np.arange(3) for c, s in enumerate(model.slow)}
-        self.width = 15 + 3 * len(model.slow)
         self.border = Border.of(model)
         self.held = Held(model, self.border)
+        self.post_first = 15 + 3 * len(model.slow)
+        self.width = self.post_first + model.swaying.width
+        self.beside = Beside(model, self.border, n, self.width)
         self.rows = int(np.searchsorted(model.key_of, n))  # of the positions, they come first
         self.key_of, self.source = model.key_of[: self.rows], model.positions.source[: self.rows]
         self._prior_R = yaw_matrix(yaw_of(prior.R_world_veh[:1]))
-        self._whiten_imu = self._whitening(deltas.cov, np.arange(n - 1))
-        self._whiten_position = self._whitening(model.cov_m2[: self.rows], self.key_of)
-
-    def _whitening(self, cov: Array, keys: NDArray[np.int64]) -> Array:
-        """W (m, r, r) with W cov W' = I; SolverError names the keyframe where there is none."""
-        try:
-            L = of(np.asarray(np.linalg.cholesky(cov), np.float64))
-            return np.ascontiguousarray(rows(inverse_of_lower(L)))
-        except np.linalg.LinAlgError as err:
-            sound = np.nan_to_num(cov, nan=-1.0, posinf=-1.0, neginf=-1.0)
-            j = int(keys[np.argmin(np.linalg.eigvalsh(sound)[:, 0] > 0)])
-            raise SolverError(
-                f"the measurements at keyframe {j}, t = {self.model.t_s[j]:.2f} s, are out of all "
-                "bounds: a covariance cannot be computed from them"
-            ) from err
+        self._whiten_imu = whitening(model, deltas.cov, np.arange(n - 1))
+        self._whiten_position = whitening(model, model.cov_m2[: self.rows], self.key_of)
 
     @property
     def factors(self) -> int:
@@ -79,6 +77,7 @@ class Terms:
                    for source, keys in self.held_keys(0, self.n).items())  # fmt: skip
         late, car, offset, survey = self.border
         shared = late.stop + len(survey) + sum(at.start < at.stop for at in (car, offset))
+        held += self.beside.factors
         return int(3 + chains + steps + shared + held) + self.rows
 
     def at(self, states: States, robust: Robustness, first: int, stop: int) -> Iterator[Term]:
@@ -93,6 +92,8 @@ class Terms:
         kept = np.arange(within.start, within.stop)[~robust.gated[within]]
         for s in np.unique(self.source[kept]).tolist():
             yield self._positions(states, s, kept[self.source[kept] == s], robust.loss_width)
+        yield from self.beside.references(states, first, stop)
+        yield from self.beside.posts(states, first, min(stop, self.n))
         yield from self._held(states, robust, first, stop)
 
     def _priors(self, states: States) -> Iterator[Term]:
@@ -143,7 +144,7 @@ class Terms:
         )  # fmt: skip
         at = np.concatenate([STATE, BIAS, self.width + STATE])
         keys = np.arange(rows.start, rows.stop)
-        return Term(keys, at, _whitened(W, told.error), W @ told.jacobian)
+        return Term(keys, at, whitened(W, told.error), W @ told.jacobian)
 
     def _bias_steps(self, states: States, rows: slice) -> Iterator[Term]:
         """The walk of the IMU's bias from keyframe to keyframe, and the sources' slow errors."""
@@ -188,6 +189,9 @@ class Terms:
                 [*parts, np.broadcast_to(np.eye(3), W.shape)],
                 np.append(at, self.slow_at[s]),
             )
+        if s in self.model.swaying.of_source:
+            by_state, own = self.beside.by_post(states, s, self.model.positions.row[rows], keys)
+            parts, at = [*parts, by_state], np.append(at, own)
         if source.point_sigma_m:
             border.append(self.border.by(self.border.offset, R))
         if s in self.border.survey:
@@ -197,7 +201,7 @@ class Terms:
             parts.append(np.sum(border, axis=0))
         J = W @ np.concatenate(parts, -1)
         width = width if source.table == GNSS else source.settings.loss_width
-        return Term(keys, at, _whitened(W, error), J, source.settings.loss, width)
+        return Term(keys, at, whitened(W, error), J, source.settings.loss, width)
 
     def held_keys(self, first: int, stop: int) -> dict[str, NDArray[np.int64]]:
         """At which of the keyframes first..stop - 1 each of the vehicle's own sources tells."""
@@ -243,6 +247,8 @@ def position_residual(
         lever = lever + states.offset
     if model.sources[s].surveyed:
         z = z + by_survey(model, rows, s) @ states.survey[s]
+    if s in model.swaying.of_source:
+        z[:, :2] += moved(model, states, s, model.positions.row[rows], keys)
     return gnss.residual(states.p[keys], states.R[keys], z, lever, bias)
 
 
@@ -260,7 +266,3 @@ def late_residual(
     lever = model.levers[s] + (states.offset if model.sources[s].point_sigma_m else 0.0)
     late_s = float(states.late_s[clocks.acting(model.config, model.sources[s].table)].sum())
     return gnss.late_residual(told, states.R[keys], states.v[keys], rate, lever, late_s)
-
-
-def _whitened(W: Array, error: Array) -> Array:
-    return np.einsum("nij,nj->ni", W, error)

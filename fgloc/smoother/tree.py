@@ -25,6 +25,8 @@ class Thresholds(NamedTuple):
 
 OTHER_THRESHOLD = 0.1
 """For what enters linearly or nearly so: velocities (m/s), biases and antenna points (m)."""
+NEVER = 1e9
+"""For posts and places of other road users, all of whose factors are linear."""
 MOUNTING_THRESHOLD = 10.0
 """For the mounting, which is kept in mrad."""
 
@@ -52,6 +54,8 @@ def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2
             ("s", 3),
         ):
             sizes.insert((letter, np.full(size, OTHER_THRESHOLD)))
+        for letter, size in (("p", 6), ("u", 2)):
+            sizes.insert((letter, np.full(size, NEVER)))
         params.setRelinearizeThreshold(sizes)
         params.enablePartialRelinearizationCheck = True
         step.setWildfireThreshold(WILDFIRE)

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, L, S, V, X
+from gtsam.symbol_shorthand import B, C, L, S, U, V, X
 from numpy.typing import NDArray
 
 from fgloc.factors import imu
@@ -21,6 +21,9 @@ from fgloc.smoother.terms import by_survey
 from fgloc.smoother.tree import as_graph
 
 EVERYTHING = Robustness(np.zeros(0, bool), np.inf)
+ROUNDS, STILL = 5, 1e-6
+"""Detections of nodes that sway are made linear anew until the posts' states change by less, in
+their units."""
 
 
 class Whole:
@@ -36,13 +39,14 @@ class Whole:
         self.groups = list(groups) or _groups(model, prior)
         self.n = len(self.groups)
         self.rows = int(np.searchsorted(model.key_of, self.n))
+        self.told = int(np.searchsorted(model.reference_key, self.n))
 
     @property
     def factors(self) -> int:
         """How many factors there are, with a measurement for every position."""
         car = self.model.car
         held = sum(len(car.factors(j, EVERYTHING)) for j in range(self.n))
-        return sum(map(len, self.groups)) + held + self.rows
+        return sum(map(len, self.groups)) + held + self.rows + self.told
 
     def first(self, n: int) -> "Whole":
         """The same for the first n keyframes alone."""
@@ -55,17 +59,23 @@ class Whole:
 
         Raises SolverError that names the state, its time and what is missing.
         """
-        graph = self._graph(robust)
-        values, iterations = optimize(graph, self._values(states, robust), self.model)
+        total = 0
+        for _ in range(ROUNDS):
+            values, graph = self._values(states, robust), self._graph(robust)
+            solved, iterations = optimize(graph, values, self.model)
+            before, states = states, self._states(solved, robust, states)
+            total += iterations
+            if np.abs(states.posts - before.posts).max(initial=0.0) < STILL:
+                break
         self.converged = iterations < self.model.config.solver.max_iterations
-        return self._states(values, robust, states), float(graph.error(values)), iterations
+        return states, float(graph.error(solved)), total
 
     def rough_predictions(self, states: States) -> None:
         """None: GTSAM solves no sketch."""
 
     def covariances(self, states: States, robust: Robustness) -> Spread:
         """Of the poses, and of what the positions and the vehicle's own sources measure."""
-        joint = covariances(self._graph(robust), self._values(states, robust), self.model)
+        joint = self._joint(states, robust)
         cov = np.stack([joint([X(j)]) for j in range(self.n)])
         predicted = np.empty((self.rows, 3, 3))
         for i in range(self.rows):
@@ -100,11 +110,31 @@ class Whole:
         if source.surveyed:
             J = by_survey(model, np.array([i]), s)[0]
             keys, parts = [*keys, S(s)], [*parts, -J]
+        if s in model.swaying.of_source:
+            row = model.swaying.row(s, int(model.positions.row[i]), j)
+            keys, parts = [*keys, row.key], [*parts, np.pad(row.J, ((0, 1), (0, 0)))]
         H = np.hstack(parts)
         # GTSAM orders a joint covariance as it is asked to.
         P = H @ (joint(keys) if len(keys) > 1 else cov[j]) @ H.T
         alone = 0.0 if source.bias is None or in_graph else source.bias.sigma_m**2
         return P + alone * np.eye(3)
+
+    def _joint(self, states: States, robust: Robustness) -> Callable[[list[int]], Array]:
+        values = self._values(states, robust)  # which sets what detections are linear about
+        return covariances(self._graph(robust), values, self.model)
+
+    def post_covariances(self, states: States, robust: Robustness) -> Array:
+        """Of the states of the posts (n, q, q); those of different slots count as independent."""
+        swaying = self.model.swaying
+        cov = np.zeros((self.n, swaying.width, swaying.width))
+        if not swaying.slots:
+            return cov
+        joint = self._joint(states, robust)
+        for j in range(self.n):
+            for c, key in enumerate(swaying.keys_at(j)):
+                own = swaying.at(c)
+                cov[j, own[:, None], own] = joint([key])
+        return cov
 
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """None: they are read from the chain only."""
@@ -123,6 +153,9 @@ class Whole:
             for factor in factors:
                 graph.add(factor)
             before[s] = i
+        for i in range(self.told):
+            for factor in self.model.reference_factors(i):
+                graph.add(factor)
         return graph
 
     def _kept(self, robust: Robustness) -> list[int]:
@@ -133,6 +166,7 @@ class Whole:
     def _values(self, states: States, robust: Robustness) -> gtsam.Values:
         model = self.model
         model.car.found = states.calibration
+        model.swaying.about[: self.n] = states.posts[: self.n]
         poses = (gtsam.Pose3(gtsam.Rot3(R), p) for R, p in zip(states.R, states.p, strict=True))
         plain = [
             State(pose, v, gtsam.imuBias.ConstantBias(b[:3], b[3:]))
@@ -144,6 +178,10 @@ class Whole:
             if s in model.slow:
                 slow = states.slow[int(model.key_of[i]), 3 * model.slow.index(s) :][:3]
             model.insert_position(values, i, slow)
+        for j in range(self.n):
+            model.swaying.insert(values, j, states.posts[j])
+        for i in range(self.told):
+            values.insert(U(i), model.references.told_m[i])
         return values
 
     def _states(self, values: gtsam.Values, robust: Robustness, before: States) -> States:
@@ -166,6 +204,7 @@ class Whole:
             np.stack([pose.translation() for pose in poses]),
             np.stack([values.atVector(V(j)) for j in range(self.n)]), np.stack(biases), slow,
             calibration=model.car.calibration(values), offset=offset, survey=survey,
+            posts=model.swaying.read(values, self.n),
         )  # fmt: skip
 
 
@@ -175,4 +214,6 @@ def _groups(model: GraphModel, prior: Guess) -> list[Factors]:
     state = State(pose, prior.v_world_mps[0], gtsam.imuBias.ConstantBias())
     groups = [model.prior_factors(0, state, YAW_SIGMA_RAD)]
     groups += [model.motion_factors(j, model.interval(j).pim) for j in range(1, len(model))]
+    for j, group in enumerate(groups):
+        group += model.swaying.factors(j)
     return groups

@@ -26,7 +26,6 @@ from fgloc.smoother import clocks
 from fgloc.smoother.batch import POSITIONS, run_batch
 from fgloc.smoother.left_out import LeftOut
 from fgloc.smoother.model import Model
-from fgloc.smoother.steady import steadied
 from fgloc.sync import plan
 from fgloc.tuning.result import AidConsistency, TunedSetting
 from fgloc.tuning.rounds import Rounds
@@ -67,8 +66,7 @@ class Aids:
 
     def __init__(self, drive: Drive, config: SmoothConfig, *, fixes: bool = False) -> None:
         """The wheels are tried even where a configuration leaves them out."""
-        steady = steadied(drive, config)
-        self._drive = clocks.on_time(steady.drive if steady else drive, config)
+        self._drive = clocks.on_time(drive, config)
         self.keys: dict[str, tuple[str, ...]] = {GNSS: (FIXES,)} if fixes else {}
         if wheel_of(drive) is not None:
             self.keys[wheel_source(drive)] = (WHEEL,)

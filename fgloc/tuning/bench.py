@@ -144,8 +144,11 @@ class Bench:
         if self._start is None:
             run, at = run_batch(chain.model), chain.model.epoch_of
             log, zero = run.log, np.zeros((len(at), 3))
-            bias, slow = np.hstack([zero, log.gyro_bias[at]]), np.zeros((len(at), chain.width - 15))
-            self._start = States(log.R[at], log.p[at], log.v[at], bias, slow, run.states.late_s)
+            bias = np.hstack([zero, log.gyro_bias[at]])
+            slow = np.zeros((len(at), chain.post_first - 15))
+            pose = log.R[at], log.p[at], log.v[at]
+            posts = run.states.posts
+            self._start = States(*pose, bias, slow, run.states.late_s, posts=posts)
         return self._start
 
     def _gathered(
@@ -191,7 +194,7 @@ def _compared(
     P = H @ cov[at] @ H.swapaxes(-1, -2)
     S = P + model.cov_m2[fixes]
     return (
-        position_errors(model, states, chain.rows)[fixes],
+        position_errors(model, states, np.arange(chain.rows))[fixes],
         S,
         np.trace(np.linalg.solve(S, P), axis1=1, axis2=2) / 3,
     )

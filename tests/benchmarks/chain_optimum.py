@@ -23,7 +23,6 @@ from fgloc.datasets import available
 from fgloc.errors import FglocError
 from fgloc.positions import DETECTIONS, GNSS
 from fgloc.smoother import is_cooperative
-from fgloc.smoother.steady import steadied
 from fgloc.sync import plan
 from fgloc.verdicts import Verdict
 
@@ -68,12 +67,11 @@ def left_out(drive: fgloc.Drive) -> np.ndarray:
 
 
 def vehicle_chain(name: str) -> fgloc.Drive | None:
-    """The drive of a name, its sway put right; None if no car's chain is in it."""
+    """The drive of a name; None if no car's chain is in it."""
     drive = fgloc.load(name)
     if not drive.has_vehicle or is_cooperative(drive) or "gnss" not in drive.tables:
         return None
-    steady = steadied(drive, SmoothConfig())
-    return drive if steady is None else steady.drive
+    return drive
 
 
 if __name__ == "__main__":

@@ -366,7 +366,7 @@ def test_a_folder_without_tables_is_told(small):
     (folder / "gnss.csv").unlink()
     tables = (
         "gnss.csv, imu.csv, wheel.csv, steering.csv, odometry.csv, velocity.csv, detections.csv, "
-        "relative.csv, node_poses.csv, smart_codes.csv, ranges.csv"
+        "relative.csv, node_poses.csv, users.csv, smart_codes.csv, ranges.csv"
     )
     assert fault(folder) == f"small: has none of the tables {tables}"
 

@@ -1,6 +1,5 @@
 """Detections of a swaying node: golden shifts, Jacobians, and the way back."""
 
-import gtsam
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,7 +7,7 @@ from hypothesis import strategies as st
 
 from fgloc.errors import InputError
 from fgloc.factors.post import pose_jacobian
-from fgloc.factors.sway import compensated, detection_factor, linear_row, reported, residual
+from fgloc.factors.sway import compensated, linear_row, reported, residual
 from fgloc.infrastructure import Node, Post
 
 POST = Post("isn-1", 10.0, 1.97, 0.05, 20.0, 0.138, 200.0, 0.3)
@@ -96,18 +95,6 @@ def test_the_row_is_in_world_axes():
     np.testing.assert_allclose(along[:, 0], [0, -1 + 10 * 0.138], atol=1e-12)
     np.testing.assert_allclose(along[:, 3], [-(-1 + 10 * 0.138), 0], atol=1e-12)
     np.testing.assert_array_equal(along[:, [1, 2, 4, 5]], 0)
-
-
-def test_the_native_factor_charges_the_residual():
-    rng = np.random.default_rng(1)
-    J, z = linear_row(np.array([[20.0, 3]]), POST, NODE, 10.0, "camera")
-    place, state, cov = rng.standard_normal(3), rng.standard_normal(6), np.array([[2, 1], [1, 3.0]])
-    factor = detection_factor(1, np.eye(2, 3), 2, J[0], z[0], cov)
-    values = gtsam.Values()
-    values.insert(1, place)
-    values.insert(2, state)
-    off = place[:2] + J[0] @ state - z[0]
-    assert factor.error(values) == pytest.approx(off @ np.linalg.solve(cov, off) / 2)
 
 
 def test_what_lies_above_the_horizon_is_refused():
