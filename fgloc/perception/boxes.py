@@ -12,9 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.errors import InputError
+from fgloc.frames import yaw_matrix
 from fgloc.measurements import PEDESTRIAN, UNKNOWN, VEHICLE, Array, check_symmetric, freeze
 
 KINDS = (UNKNOWN, VEHICLE, PEDESTRIAN)
+
+
+def upright_corners(centre_m: Array, size_m: Array, yaw_rad: Array) -> Array:
+    """(N, 8, 3) corners of upright boxes of centre (N, 3), length, width and height (N, 3) and yaw
+    (N,): the lower four counter-clockwise from the one at the rear right, then the upper."""
+    at = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
+    unit = np.concatenate([np.column_stack([at, np.full(4, z)]) for z in (-0.5, 0.5)])
+    R = yaw_matrix(yaw_rad)
+    return np.asarray((unit * size_m[:, None]) @ R.swapaxes(1, 2) + centre_m[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,10 +143,5 @@ class Cuboids(_Rows):
         check_symmetric(self.NAME, self.cov_m2)
 
     def corners_m(self) -> Array:
-        """(N, 8, 3) corners in the node's axes: the lower four counter-clockwise, then the upper,
-        each from the one at the rear right."""
-        at = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
-        unit = np.concatenate([np.column_stack([at, np.full(4, z)]) for z in (-0.5, 0.5)])
-        c, s, zero = np.cos(self.yaw_rad), np.sin(self.yaw_rad), np.zeros(len(self))
-        R = np.array([[c, -s, zero], [s, c, zero], [zero, zero, zero + 1]]).transpose(2, 0, 1)
-        return np.asarray((unit * self.size_m[:, None]) @ R.swapaxes(1, 2) + self.centre_m[:, None])
+        """(N, 8, 3) corners in the node's axes, as `upright_corners` has them."""
+        return upright_corners(self.centre_m, self.size_m, self.yaw_rad)

@@ -36,8 +36,9 @@ SECTOR_RAD = np.deg2rad(120.0)
 """Of a non-spinning LiDAR."""
 DOWN_RAD = np.deg2rad(21.0)
 """From 10 m up, beams from 5.5 to 36.5 deg downwards meet the ground 14 to 104 m away."""
-ASIDE_RAD = np.deg2rad(35.0)
-"""Each of two views is turned so far from the middle: their cameras share 10 deg and more."""
+ASIDE_RAD = np.deg2rad(40.0)
+"""Each of two views is turned so far from the middle: cameras of 80 deg make up 160 deg, as the
+thesis has it, those of 90 deg share 10, LiDARs of 120 deg share 40."""
 ASIDE_M = 0.3
 
 _OPTICAL = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
@@ -51,7 +52,7 @@ def mount(yaw_rad: float, down_rad: float) -> Array:
 
 def pinhole(
     name: str, yaw_rad: float, down_rad: float = DOWN_RAD, focal_px: float = FOCAL_PX,
-    size_px: tuple[int, int] = SIZE_PX, p_node_cam_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    size_px: tuple[int, int] = SIZE_PX, p_node_cam_m: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> Camera:  # fmt: skip
     """A camera without distortion, its optical axis through the middle of the image."""
     middle_px = (np.array(size_px) - 1) / 2
@@ -74,24 +75,36 @@ def lidar_32(
     )  # fmt: skip
 
 
-def lee2021_node(node: Node, height_m: float = HEIGHT_M) -> PerceptionNode:
-    """Two heads of one camera and one non-spinning LiDAR each, to both sides of the node's x."""
+def lee2021_node(
+    node: Node, height_m: float = HEIGHT_M, looking_rad: float = 0.0
+) -> PerceptionNode:
+    """Two heads of one camera and one non-spinning LiDAR each.
+
+    looking_rad  from the node's x axis to the middle of what they see, counter-clockwise
+    """
     heads = []
-    for name, yaw_rad in (("left", ASIDE_RAD), ("right", -ASIDE_RAD)):
+    for name, aside_rad in (("left", ASIDE_RAD), ("right", -ASIDE_RAD)):
+        yaw_rad = looking_rad + aside_rad
         camera = pinhole(f"{name}-camera", yaw_rad)
         lidar = lidar_32(f"{name}-lidar", yaw_rad, SECTOR_RAD, p_node_lidar_m=(0, 0, -ASIDE_M))
         heads.append(Head(name, (camera,), lidar))
     return PerceptionNode(node, tuple(heads), height_m)
 
 
-def khamooshi2023_node(node: Node, height_m: float = HEIGHT_M) -> PerceptionNode:
-    """The node of chapter 5: one head, two cameras side by side, one LiDAR all around."""
+def khamooshi2023_node(
+    node: Node, height_m: float = HEIGHT_M, looking_rad: float = 0.0
+) -> PerceptionNode:
+    """The node of chapter 5: one head, two cameras side by side, one LiDAR all around.
+
+    looking_rad  from the node's x axis to the middle of what the cameras see, counter-clockwise
+    """
+    aside_m = exp_so3([0, 0, looking_rad]) @ [0.0, ASIDE_M / 2, 0.0]
     cameras = tuple(
         pinhole(
-            f"{name}-camera", side * ASIDE_RAD, focal_px=CHAPTER_5_FOCAL_PX,
-            p_node_cam_m=(0.0, side * ASIDE_M / 2, 0.0),
+            f"{name}-camera", looking_rad + side * ASIDE_RAD, focal_px=CHAPTER_5_FOCAL_PX,
+            p_node_cam_m=tuple(side * aside_m),
         )
         for name, side in (("left", 1), ("right", -1))
     )  # fmt: skip
-    lidar = lidar_32("lidar", 0.0, 2 * np.pi, p_node_lidar_m=(0.0, 0.0, -ASIDE_M))
+    lidar = lidar_32("lidar", looking_rad, 2 * np.pi, p_node_lidar_m=(0.0, 0.0, -ASIDE_M))
     return PerceptionNode(node, (Head("head", cameras, lidar),), height_m)
