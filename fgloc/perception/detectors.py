@@ -62,6 +62,7 @@ class BackgroundDetector:
         self._model: Any = cv2.createBackgroundSubtractorMOG2(
             varThreshold=config.threshold, detectShadows=config.shadows
         )
+        self._model.setBackgroundRatio(config.least_ratio)
         for count, image in enumerate(learn, 1):
             self._model.apply(self._small(image), learningRate=1 / count)
 

@@ -23,14 +23,15 @@ from numpy.typing import NDArray
 
 from fgloc.infrastructure import Node
 from fgloc.measurements import PEDESTRIAN, Array
+from fgloc.perception.cuboid_fit import CAR_M, PERSON_M
 from fgloc.perception.heads import Camera
 from fgloc.perception.idw import IdwMap
 from fgloc.perception.map_error import ErrorMap
+from fgloc.perception.settings import PlaceConfig
 
-VEHICLE_SIZE_M, PEDESTRIAN_SIZE_M = (4.5, 1.8, 1.5), (0.5, 0.5, 1.7)
-"""Length, width, height of a common car and of a person."""
-VEHICLE_SIGMA_M, PEDESTRIAN_SIGMA_M = (0.5, 0.15, 0.2), (0.15, 0.15, 0.15)
-"""How much others differ from that."""
+CAR_SIGMA_M, PERSON_SIGMA_M = (0.5, 0.15, 0.2), (0.15, 0.15, 0.15)
+"""How much lengths, widths and heights differ from the usual ones."""
+HALF = 0.5**0.5
 _BORDER_PX = 2.0
 _STEP_PX = 0.5
 
@@ -71,8 +72,8 @@ class Placing(Protocol):
 def kind_size_m(kind: NDArray[np.int64]) -> tuple[Array, Array]:
     """Length, width, height (N, 3) in m to expect of kinds (N,), and their sigmas (N, 3)."""
     walks = (kind == PEDESTRIAN)[:, None]
-    size = np.where(walks, PEDESTRIAN_SIZE_M, VEHICLE_SIZE_M)
-    return size, np.where(walks, PEDESTRIAN_SIGMA_M, VEHICLE_SIGMA_M)
+    size = np.where(walks, PERSON_M, CAR_M)
+    return size, np.where(walks, PERSON_SIGMA_M, CAR_SIGMA_M)
 
 
 def on_plane(camera: Camera, pixels: Array, z_m: Array | float) -> Array:
@@ -124,18 +125,17 @@ class ByBottom:
     """The near end of the object, where the middle of the lower edge meets the ground.
 
     ground_m  z of the ground in the node's axes
-    sigma_px  of each edge of a box
     """
 
     camera: Camera
     ground_m: float
-    sigma_px: float
+    config: PlaceConfig
 
     def sight(self, box_px: Array, kind: NDArray[np.int64]) -> Sightings:
         """What boxes (N, 4) say; their kinds do not matter."""
         foot = bottom_px(box_px)
-        J = _by_pixel(self.camera, foot, self.ground_m)
-        cov = _spread(J, self.sigma_px / np.sqrt(2), self.sigma_px)  # a middle is of two edges
+        sigma_px = _edge_sigma_px(box_px, self.config) * [HALF, 1]  # a middle is of two edges
+        cov = _spread(_by_pixel(self.camera, foot, self.ground_m), sigma_px, self.config)
         width_m, _ = upright_size_m(self.camera, self.ground_m, box_px)
         place = on_plane(self.camera, foot, self.ground_m)
         return Sightings(place, cov, np.ones(len(box_px)), width_m)
@@ -147,7 +147,7 @@ class ByCentre:
 
     camera: Camera
     ground_m: float
-    sigma_px: float
+    config: PlaceConfig
 
     def sight(self, box_px: Array, kind: NDArray[np.int64]) -> Sightings:
         """What boxes (N, 4) of kinds (N,) say."""
@@ -157,8 +157,8 @@ class ByCentre:
         place = on_plane(self.camera, middle, z_m)
         down_m = self.camera.p_node_cam_m[2] - z_m
         by_height = (place - self.camera.p_node_cam_m[:2]) / down_m[:, None] * sigma[:, 2:] / 2
-        half_px = self.sigma_px / np.sqrt(2)
-        cov = _spread(_by_pixel(self.camera, middle, z_m), half_px, half_px)
+        sigma_px = _edge_sigma_px(box_px, self.config) * HALF
+        cov = _spread(_by_pixel(self.camera, middle, z_m), sigma_px, self.config)
         width_m, _ = upright_size_m(self.camera, self.ground_m, box_px)
         cov = cov + by_height[:, :, None] * by_height[:, None, :]
         return Sightings(place, cov, np.zeros(len(box_px)), width_m)
@@ -197,6 +197,13 @@ def _by_pixel(camera: Camera, pixels: Array, z_m: Array | float) -> Array:
     ], -1)  # fmt: skip
 
 
-def _spread(J: Array, sigma_u_px: float, sigma_v_px: float) -> Array:
-    scaled = J * np.array([sigma_u_px, sigma_v_px])
-    return np.asarray(scaled @ scaled.swapaxes(-1, -2))
+def _edge_sigma_px(box_px: Array, config: PlaceConfig) -> Array:
+    """(N, 2) of an edge across and upright."""
+    size_px = box_px[:, 2:] - box_px[:, :2]
+    return np.hypot(config.sigma_px, config.sigma_share * size_px)
+
+
+def _spread(J: Array, sigma_px: Array, config: PlaceConfig) -> Array:
+    """(N, 2, 2) what sigmas (N, 2) of a pixel do, and what is not known of the shape."""
+    scaled = J * sigma_px[:, None, :]
+    return np.asarray(scaled @ scaled.swapaxes(-1, -2) + config.shape_sigma_m**2 * np.eye(2))

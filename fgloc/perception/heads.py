@@ -139,6 +139,17 @@ class Lidar:
         """Points (N, 3) of its cloud in the node's axes."""
         return np.asarray(p_lidar_m, float) @ self.R_node_lidar.T + self.p_node_lidar_m
 
+    def covers(self, p_node_m: ArrayLike) -> NDArray[np.bool_]:
+        """(N,) bool: which points (N, 3) in the node's axes lie between its first and last azimuth
+        and its lowest and highest beam."""
+        x, y, z = ((np.asarray(p_node_m, float) - self.p_node_lidar_m) @ self.R_node_lidar).T
+        middle = self.azimuth_rad.mean()
+        azimuth = (np.arctan2(y, x) - middle + np.pi) % (2 * np.pi) - np.pi
+        elevation = np.arctan2(z, np.hypot(x, y))
+        low, high = self.elevation_rad
+        inside = (elevation >= low) & (elevation <= high)
+        return np.asarray(inside & (np.abs(azimuth) <= np.ptp(self.azimuth_rad) / 2))
+
     def directions(self) -> Array:
         """(N, 3) unit directions of all rays in its own axes, beam by beam from the lowest."""
         elevation = _angles(self.elevation_rad, self.step_rad[1])[:, None]

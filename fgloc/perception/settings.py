@@ -5,6 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from fgloc.config import Section
+from fgloc.perception.lidar_settings import LidarConfig
 
 
 class BackgroundConfig(Section):
@@ -13,13 +14,18 @@ class BackgroundConfig(Section):
     shrink: int = Field(default=2, ge=1, le=8)
     """Images are made so many times smaller: at 2 a core does more than 20 frames of 1920 x 1200 a
     second, and a car at 80 m still has 10 x 30 px."""
+    learn_frames: int = Field(default=40, ge=2, le=1000)
+    """Frames over the whole recording that the background is learnt from beforehand."""
     learning_rate: float = Field(default=2e-4, ge=0, lt=1)
     """Share of each later frame in the background: a car that stands becomes part of it after
     minutes, and so does a change of light."""
     threshold: float = Field(default=30.0, gt=0)
     """Squared distance in sigmas of a pixel's colour from its background."""
-    shadows: bool = True
-    """Leave out what is only darker than the background."""
+    least_ratio: float = Field(default=0.6, gt=0, lt=1)
+    """Share of the time in which a pixel shows its background; where traffic is dense, cars of one
+    colour are seen for a fifth of it."""
+    shadows: bool = False
+    """Leave out what is only darker than the background; dark cars on asphalt go with it."""
     close_px: int = Field(default=9, ge=1, le=99)
     """Parts of an object nearer to each other, px of the small image, are one."""
     least_area_px: int = Field(default=20, ge=1)
@@ -61,11 +67,17 @@ class OnnxConfig(Section):
 class PlaceConfig(Section):
     """From a box in the image to a place on the ground."""
 
-    point: Literal["bottom", "centre", "idw"] = "bottom"
-    """bottom: where the middle of the lower edge meets the ground; centre: where the middle of the
-    box meets the plane at half the height of its kind; idw: by a map (Marr 2019)."""
+    point: Literal["edges", "bottom", "centre", "idw"] = "edges"
+    """edges: a track begins as with bottom, then all edges of a box are held against its cuboid;
+    bottom: where the middle of the lower edge meets the ground; centre: where the middle of the box
+    meets the plane at half the height of its kind; idw: by a map (Marr 2019)."""
     sigma_px: float = Field(default=2.0, gt=0)
-    """Of each edge of a box."""
+    """Of each edge of a box ..."""
+    sigma_share: float = Field(default=0.03, ge=0)
+    """... and more of it in proportion to the box."""
+    shape_sigma_m: float = Field(default=0.3, ge=0)
+    """bottom and centre: how far that point of an object is from where the model has it, as boxes
+    around objects that are turned are not about their middle."""
     idw_file: str = ""
     """Calibration set of the map, `u_px,v_px,east_m,north_m[,run]`; for a node of one camera."""
 
@@ -124,9 +136,8 @@ class PerceiveConfig(Section):
     smoother but errs alike for a second, so that the graph trusts it too much."""
     together_s: float = Field(default=0.04, gt=0, le=10)
     """Frames of several sensors within so much time are one frame of the node."""
-    learn_frames: int = Field(default=40, ge=2, le=1000)
-    """Frames over the whole recording that backgrounds are learnt from beforehand."""
     background: BackgroundConfig = BackgroundConfig()
+    lidar: LidarConfig = LidarConfig()
     onnx: OnnxConfig = OnnxConfig()
     place: PlaceConfig = PlaceConfig()
     track: TrackConfig = TrackConfig()

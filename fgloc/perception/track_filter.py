@@ -10,10 +10,11 @@ A sensor sees the near side of an object; how far it reaches behind is known fro
 from its class. So what is measured is not the centre but a point on the near side, and the size in
 the state carries it to the centre:
 
-- a LiDAR's cuboid: the corner or side towards the sensor, the extents, the top, and the foot, which
-  stands on the ground; an extent shorter than the track's may be cut off, so its sigma is at least
-  what is missing
-- a camera's box: the point on the ground below the near side, or the centre
+- a LiDAR's cuboid: the corner or side towards the sensor, the extents that were seen, the top, and
+  the foot, which stands on the ground; an extent shorter than the track's may be cut off, so its
+  sigma is at least what is missing
+- a camera's box: its edges, where the outermost corners are; or a place on the ground, of the near
+  side or of the centre
 - the class: the size of its kind; a fast vehicle: it drives along its length
 """
 
@@ -23,9 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.measurements import PEDESTRIAN, VEHICLE, Array
-from fgloc.perception.boxes import Cuboids
+from fgloc.perception.boxes import Cuboids, upright_corners
+from fgloc.perception.cuboid_fit import CAR_M, PERSON_M
 from fgloc.perception.ground import Sightings, depth_m, kind_size_m
-from fgloc.perception.settings import TrackConfig
+from fgloc.perception.heads import Camera
+from fgloc.perception.settings import PlaceConfig, TrackConfig
 
 D = 9
 P_, V_, S_, YAW = slice(0, 3), slice(3, 5), slice(5, 8), 8
@@ -34,8 +37,12 @@ FOOT_SIGMA_M = 0.1
 LEAST_SIZE_M = 0.2
 OPEN_SIGMA = 1e3
 """Of what is not known at all, in m, m/s or rad."""
-LONG_M, LONG_RATIO = 2.0, 1.4
-"""A cuboid from this length on, and so many times longer than wide, shows a yaw."""
+LONG_RATIO = 1.4
+"""A cuboid whose length was seen and is so many times its width shows a yaw."""
+ALIKE_RAD = np.pi / 12
+"""Sides of a cuboid and a track that are turned by less are the same sides."""
+STEP = 1e-4
+"""Of numerical differences, m and rad."""
 SIDE_SHARE = 0.3
 """A side that is seen at a smaller sine is taken for partly hidden in proportion."""
 
@@ -112,32 +119,44 @@ def by_cuboid(
 ) -> Measured:
     """A cuboid (T,) for each state, of a LiDAR at sensor_m (3,) in the node's axes."""
     x = belief.x
-    long, short = seen.size_m[:, :2].max(-1), seen.size_m[:, :2].min(-1)
-    told = (long > LONG_M) & (long > LONG_RATIO * short)
+    assumed = was_assumed(seen.size_m)
     turned = _wrapped(seen.yaw_rad - x[:, YAW])
-    extent = np.where(told[:, None], _as_named(seen.size_m, turned), _around(seen.size_m, turned))
-    aspect = _aspect(x, sensor_m)
-    own_turn = np.where(told, _quarter(turned), 0)
-    arm = _turned(aspect * x[:, 5:7] / 2, x[:, YAW])
-    seen_arm = _turned(aspect * extent / 2, x[:, YAW] + own_turn)
-    top, foot = x[:, 2] + x[:, 7] / 2, x[:, 2] - x[:, 7] / 2
+    off_yaw = _quarter(turned)
+    swapped = (np.abs(turned) > np.pi / 4)[:, None]
+    extent, shown = (
+        np.where(swapped, column[:, 1::-1], column[:, :2]) for column in (seen.size_m, ~assumed)
+    )
+    shown &= (np.abs(off_yaw) < ALIKE_RAD)[:, None]
+    told = ~assumed[:, 0] & (seen.size_m[:, 0] > LONG_RATIO * seen.size_m[:, 1])
+    arm, aspect = _near_arm(x[:, :2], x[:, 5:7], x[:, YAW], sensor_m)
+    seen_arm, _ = _near_arm(seen.centre_m[:, :2], seen.size_m[:, :2], seen.yaw_rad, sensor_m)
+    foot, top = (x[:, 2] + sign * x[:, 7] / 2 for sign in (-1, 1))
     seen_top = seen.centre_m[:, 2] + seen.size_m[:, 2] / 2
     lacks = np.column_stack([extent - x[:, 5:7], seen_top - top])
     error = np.column_stack([
-        seen.centre_m[:, :2] + seen_arm - x[:, :2] - arm, lacks, ground_m - foot, own_turn,
+        seen.centre_m[:, :2] + seen_arm - x[:, :2] - arm, lacks, ground_m - foot,
+        np.where(told, off_yaw, 0),
     ])  # fmt: skip
     H = np.zeros((len(x), 7, D))
     H[:, [0, 1, 2, 3, 4, 5, 6], [0, 1, 5, 6, 2, 2, YAW]] = 1
     H[:, :2, 5:7] = _axes(x[:, YAW]) * aspect[:, None, :] / 2
-    # Without a yaw of its own the cuboid is put along the track's, and turns with it.
-    H[:, :2, YAW] = _across(arm) - np.where(told[:, None], 0, _across(seen_arm))
+    H[:, :2, YAW] = np.where(told[:, None], _across(arm), 0)
     H[:, 4, 7], H[:, 5, 7] = 0.5, -0.5
     R = np.zeros((len(x), 7, 7))
     R[:, :2, :2] = seen.cov_m2
-    R[:, [2, 3, 4], [2, 3, 4]] = config.extent_sigma_m**2 + np.minimum(lacks, 0) ** 2
+    sure = np.column_stack([shown, ~assumed[:, 2]])
+    hidden = np.where(sure, np.minimum(lacks, 0), OPEN_SIGMA)
+    R[:, [2, 3, 4], [2, 3, 4]] = config.extent_sigma_m**2 + hidden**2
     R[:, 5, 5] = FOOT_SIGMA_M**2
     R[:, 6, 6] = np.where(told, config.yaw_sigma_rad, OPEN_SIGMA) ** 2
     return Measured(error, H, R)
+
+
+def was_assumed(size_m: Array) -> NDArray[np.bool_]:
+    """(N, 3) bool: which lengths, widths and heights of cuboids were not seen: they are exactly the
+    usual ones, to which `cuboid_fit` completes what it sees."""
+    usual = np.array([CAR_M, PERSON_M])
+    return np.asarray(np.isclose(size_m[:, None], usual, rtol=0, atol=1e-6).any(1))
 
 
 def by_sighting(belief: Belief, seen: Sightings, camera_m: Array) -> Measured:
@@ -159,6 +178,26 @@ def by_sighting(belief: Belief, seen: Sightings, camera_m: Array) -> Measured:
     H[:, :, 5], H[:, :, 6] = -half * along * np.abs([c, s])[..., None]
     H[:, :, YAW] = -half * along * by_turn
     return Measured(seen.p_node_m - (x[:, :2] - half * along * depth), H, seen.cov_m2)
+
+
+def by_box(belief: Belief, box_px: Array, camera: Camera, place: PlaceConfig) -> Measured:
+    """A box (T, 4) for each state, whole in the image of a calibrated camera: its edges are the
+    outermost corners of the cuboid. Differentiated numerically, for the lens may distort."""
+    x = belief.x
+    steps = np.concatenate([np.zeros((1, D)), STEP * np.eye(D), -STEP * np.eye(D)])
+    edges = outline(camera, (x[:, None] + steps).reshape(-1, D)).reshape(len(x), -1, 4)
+    H = (edges[:, 1 : D + 1] - edges[:, D + 1 :]).swapaxes(1, 2) / (2 * STEP)
+    size_px = np.tile(box_px[:, 2:] - box_px[:, :2], 2)
+    sigma = np.hypot(place.sigma_px, place.sigma_share * size_px)
+    return Measured(box_px - edges[:, 0], H, sigma[:, :, None] ** 2 * np.eye(4))
+
+
+def outline(camera: Camera, x: Array) -> Array:
+    """Edges (T, 4) of the boxes around the cuboids of states (T, 9) in an image, which they may
+    exceed; NaN where a corner lies behind the camera."""
+    corners_m = upright_corners(*Belief(x, np.empty(0)).cuboids)
+    pixels = camera.project(corners_m.reshape(-1, 3)).reshape(-1, 8, 2)
+    return np.concatenate([pixels.min(1), pixels.max(1)], 1)
 
 
 def by_kind(belief: Belief, kind: NDArray[np.int64]) -> Measured:
@@ -203,8 +242,7 @@ def born_of_cuboids(seen: Cuboids, ground_m: float, config: TrackConfig) -> Beli
     x[:, 5:7], x[:, 7], x[:, YAW] = seen.size_m[:, :2], height, seen.yaw_rad
     x[:, S_] = np.maximum(x[:, S_], LEAST_SIZE_M)
     P[:, :2, :2] = seen.cov_m2
-    long = seen.size_m[:, 0] > LONG_M
-    sigma_yaw = np.where(long, 2 * config.yaw_sigma_rad, np.pi / 4)
+    sigma_yaw = np.where(was_assumed(seen.size_m)[:, 0], np.pi / 4, 2 * config.yaw_sigma_rad)
     P[:, range(2, D), range(2, D)] = np.square(_birth_sigmas(config))
     P[:, YAW, YAW] = sigma_yaw**2
     return Belief(x, P)
@@ -244,13 +282,15 @@ def _axes(yaw: Array) -> Array:
     return np.array([[c, -s], [s, c]]).transpose(2, 0, 1)
 
 
-def _aspect(x: Array, sensor_m: Array) -> Array:
-    """(T, 2) which end and which side face the sensor: 1 ahead or left, -1 rear or right; less
-    where it is seen so aslant that both ends of the other extent show."""
-    arm = sensor_m[:2] - x[:, :2]
+def _near_arm(p_m: Array, size: Array, yaw: Array, sensor_m: Array) -> tuple[Array, Array]:
+    """From the centres (T, 2) of rectangles to the corner that faces the sensor (T, 2), and which
+    end and side that is (T, 2): 1 ahead or left, -1 rear or right; less, towards the middle, where
+    a side is seen so aslant that both its ends show."""
+    arm = sensor_m[:2] - p_m
     toward = arm / np.linalg.norm(arm, axis=-1, keepdims=True)
-    facing = (toward[:, None, :] @ _axes(x[:, YAW]))[:, 0]
-    return np.asarray(np.clip(facing / SIDE_SHARE, -1, 1))
+    facing = (toward[:, None, :] @ _axes(yaw))[:, 0]
+    aspect = np.asarray(np.clip(facing / SIDE_SHARE, -1, 1))
+    return _turned(aspect * size / 2, yaw), aspect
 
 
 def _turned(local: Array, yaw: Array) -> Array:
@@ -261,19 +301,6 @@ def _turned(local: Array, yaw: Array) -> Array:
 def _across(v: Array) -> Array:
     """(T, 2) vectors turned to the left: by how much they move when their yaw grows."""
     return np.stack([-v[:, 1], v[:, 0]], -1)
-
-
-def _as_named(size: Array, turned: Array) -> Array:
-    """(T, 2) extents of a rectangle by which of its sides lies nearer to a length turned back."""
-    along = np.abs(turned) <= np.pi / 4
-    return np.where(along[:, None], size[:, :2], size[:, 1::-1])
-
-
-def _around(size: Array, turned: Array) -> Array:
-    """(T, 2) extents along axes turned back by an angle of what encloses a rectangle."""
-    c, s = np.abs(np.cos(turned)), np.abs(np.sin(turned))
-    length, width = size[:, 0], size[:, 1]
-    return np.stack([c * length + s * width, s * length + c * width], -1)
 
 
 def _wrapped(angle: Array) -> Array:

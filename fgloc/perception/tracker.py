@@ -17,14 +17,15 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.chi_square import chi2_quantile
 from fgloc.measurements import PEDESTRIAN, UNKNOWN, VEHICLE, Array
 from fgloc.perception.boxes import Cuboids, ImageBoxes
 from fgloc.perception.ground import Placing, on_border
-from fgloc.perception.heads import Camera
+from fgloc.perception.heads import Camera, Lidar
 from fgloc.perception.iou import Pairs, best_pairs, image_iou
-from fgloc.perception.settings import TrackConfig
+from fgloc.perception.settings import PerceiveConfig
 from fgloc.perception.track_filter import (
     S_,
     Belief,
@@ -32,6 +33,7 @@ from fgloc.perception.track_filter import (
     along_course,
     born_of_cuboids,
     born_of_sightings,
+    by_box,
     by_cuboid,
     by_kind,
     by_sighting,
@@ -50,6 +52,8 @@ PART_SHARE = 0.5
 """A box with more than this share inside of a track's is a part of it."""
 PART_M = 0.5
 """A cuboid whose centre is so near to a track's plan is a part of it."""
+BOX_SIGMA_PX, SHAPE_SIGMA_M = 2.0, 0.3
+"""How far the middles of a box and of a cuboid's image differ, in the image and on the object."""
 _SIZE_OPEN_M = 1.5
 _KNOWN_M = 100.0
 _BLINK_S = 0.01
@@ -57,31 +61,36 @@ _BLINK_S = 0.01
 
 class Match(NamedTuple):
     """A box that went to a track which the LiDAR saw in the same frame: where the cuboid is in the
-    image (2,) px by the LiDAR, where the box is, and how fast the cuboid moves there, px/s."""
+    image (2,) px by the LiDAR, where the box is, how fast the cuboid moves there, px/s, and how far
+    both may differ as a cuboid is no car."""
 
     camera: int
     expected_px: Array
     seen_px: Array
     speed_pxps: Array
+    sigma_px: float
 
 
 class Tracker:
     """Tracks of one head. A frame is `begin`, what was measured in the order of time, `end`.
 
     cameras  by their numbers among the node's; places likewise, none where boxes give classes only
-    lidar_m  (3,) the LiDAR in the node's axes, None where the head has none
-    matches  pairs for the check of clocks and calibration, so far
+    lidar    None where the head has none
+    matches  pairs for the check of clocks and calibration, so far; doubtful counts the tracks that
+             died without being confirmed
     """
 
     def __init__(
-        self, cameras: Mapping[int, Camera], places: Mapping[int, Placing], lidar_m: Array | None,
-        ground_m: float, config: TrackConfig,
+        self, cameras: Mapping[int, Camera], places: Mapping[int, Placing], lidar: Lidar | None,
+        ground_m: float, settings: PerceiveConfig,
     ) -> None:  # fmt: skip
-        self.cameras, self.places, self.lidar_m = cameras, places, lidar_m
-        self.ground_m, self.config = ground_m, config
+        self.cameras, self.places, self.lidar = cameras, places, lidar
+        self.ground_m, self.config, self.place = ground_m, settings.track, settings.place
         self.tracks = Tracks.none()
         self.matches: list[Match] = []
-        self._gate = chi2_quantile(config.gate_probability, 2)
+        self.doubtful = 0
+        self._gate = chi2_quantile(self.config.gate_probability, 2)
+        self._box_gate = chi2_quantile(self.config.gate_probability, 4)
         self._now_ns = self._begun_ns = 0
         self._born = 0
 
@@ -103,11 +112,14 @@ class Tracker:
         """A LiDAR's cuboids at an instant, in the node's axes."""
         self.advance(t_ns)
         pairs = self._pairs_of_cuboids(cuboids)
-        seen = cuboids.take(pairs[:, 1])
-        self._update(pairs[:, 0], lambda belief: self._cuboid(belief, seen))
         self._hit(pairs[:, 0])
-        self._name_by_size(pairs[:, 0], seen)
-        free = np.setdiff1d(np.arange(len(cuboids)), pairs[:, 1])
+        # What the edge of its view cuts off has no near side and no size.
+        whole = self._is_whole(cuboids)
+        full = pairs[whole[pairs[:, 1]]]
+        seen = cuboids.take(full[:, 1])
+        self._update(full[:, 0], lambda belief: self._cuboid(belief, seen))
+        self._name_by_size(full[:, 0], seen)
+        free = np.setdiff1d(np.flatnonzero(whole), pairs[:, 1])
         part = is_inside(cuboids.centre_m[free, :2], self.tracks.belief, PART_M).any(1)
         new = cuboids.take(free[~part])
         rows = self._bear(born_of_cuboids(new, self.ground_m, self.config))
@@ -141,8 +153,10 @@ class Tracker:
         confirmed = tracks.hits >= c.confirm_hits
         lost = self._now_ns - tracks.seen_ns > c.coast_s * NS_PER_S
         doubtful = ~confirmed & (tracks.frames >= c.confirm_frames)
+        self.doubtful += int((~confirmed & (lost | doubtful)).sum())
         self.tracks = tracks.take(~lost & ~doubtful)
-        return tracks.take(seen & confirmed)
+        placed = tracks.alone_P[:, 0, 0] < _KNOWN_M**2
+        return tracks.take(seen & confirmed & placed)
 
     def _update(self, rows: Rows, measure: Callable[[Belief], Measured]) -> None:
         """Some tracks, each at most once, by what `measure` makes of their states."""
@@ -156,8 +170,14 @@ class Tracker:
         self.tracks.seen_ns[rows] = self._now_ns
 
     def _cuboid(self, belief: Belief, seen: Cuboids) -> Measured:
-        assert self.lidar_m is not None  # or there are no cuboids
-        return by_cuboid(belief, seen, self.lidar_m, self.ground_m, self.config)
+        assert self.lidar is not None  # or there are no cuboids
+        return by_cuboid(belief, seen, self.lidar.p_node_lidar_m, self.ground_m, self.config)
+
+    def _is_whole(self, cuboids: Cuboids) -> NDArray[np.bool_]:
+        """(N,) bool: which cuboids the edge of the LiDAR's view does not cut off."""
+        assert self.lidar is not None
+        inside = self.lidar.covers(cuboids.corners_m().reshape(-1, 3))
+        return np.asarray(inside.reshape(-1, 8).all(1))
 
     def _pairs_of_cuboids(self, cuboids: Cuboids) -> Pairs:
         """By the distance of their near sides, in sigmas."""
@@ -206,20 +226,33 @@ class Tracker:
         at_px, then_px = (_middle(project(camera, Belief(x, here.P))) for x in (here.x, later))
         speed = (then_px - at_px) / _BLINK_S
         known = np.isfinite(at_px + then_px).all(1)
-        for k in np.flatnonzero(known).tolist():
-            self.matches.append(Match(number, at_px[k], _middle(box_px[k : k + 1])[0], speed[k]))
+        far_m = np.linalg.norm(here.x[:, :3] - camera.p_node_cam_m, axis=1)
+        sigma_px = BOX_SIGMA_PX + SHAPE_SIGMA_M * camera.focal_px.max() / far_m
+        seen_px = _middle(box_px)
+        self.matches += [
+            Match(number, at_px[k], seen_px[k], speed[k], float(sigma_px[k]))
+            for k in np.flatnonzero(known).tolist()
+        ]
 
     def _place(self, number: int, boxes: ImageBoxes, rows: Rows) -> None:
-        """Places of matched boxes, where they are known and fit."""
+        """What matched boxes say of places and sizes, where it is known and fits."""
         if number not in self.places or not len(rows):
             return
+        camera = self.cameras[number]
+        if self.place.point == "edges":
+            box_px, gate = boxes.box_px, self._box_gate
+            measured = by_box(self.tracks.belief.at(rows), box_px, camera, self.place)
+            near = np.flatnonzero(measured.nis(self.tracks.belief.at(rows)) < gate)
+            fits = box_px[near]
+            self._update(rows[near], lambda belief: by_box(belief, fits, camera, self.place))
+            return
         seen = self.places[number].sight(boxes.box_px, self.tracks.kind[rows])
-        at_m = self.cameras[number].p_node_cam_m
         rows, seen = rows[seen.known], seen.take(np.flatnonzero(seen.known))
         belief = self.tracks.belief.at(rows)
+        at_m = camera.p_node_cam_m
         near = np.flatnonzero(by_sighting(belief, seen, at_m).nis(belief) < self._gate)
-        fits = seen.take(near)
-        self._update(rows[near], lambda belief: by_sighting(belief, fits, at_m))
+        known = seen.take(near)
+        self._update(rows[near], lambda belief: by_sighting(belief, known, at_m))
 
     def _bear_boxes(self, number: int, boxes: ImageBoxes) -> None:
         """Tracks of boxes alone."""

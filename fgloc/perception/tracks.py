@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from fgloc.measurements import Array
 from fgloc.perception.heads import Camera
-from fgloc.perception.track_filter import P_, S_, YAW, Belief, D
+from fgloc.perception.track_filter import S_, YAW, Belief, D, outline
 
 Rows = NDArray[np.int64]
-_UNIT = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
 @dataclass(eq=False)
@@ -84,21 +83,11 @@ class Tracks:
         return Tracks(*(np.concatenate(pair) for pair in pairs))
 
 
-def corners_m(belief: Belief) -> Array:
-    """(T, 8, 3) corners of the cuboids of states, in the node's axes."""
-    c, s = np.cos(belief.x[:, YAW]), np.sin(belief.x[:, YAW])
-    R = np.zeros((len(c), 3, 3))
-    R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, -s, s, c, 1
-    return belief.x[:, None, P_] + (_UNIT * belief.x[:, None, S_]) @ R.swapaxes(1, 2)
-
-
 def project(camera: Camera, belief: Belief) -> Array:
     """Boxes (T, 4) around the cuboids of states, cut off at the edge of the image; NaN where
     nothing of one is in it, or a corner lies behind the camera."""
-    pixels = camera.project(corners_m(belief).reshape(-1, 3)).reshape(-1, 8, 2)
-    low, high = pixels.min(1), pixels.max(1)
-    edge = np.array(camera.size_px) - 0.5
-    box = np.concatenate([np.clip(low, -0.5, edge), np.clip(high, -0.5, edge)], 1)
+    edge = np.tile(camera.size_px, 2) - 0.5
+    box = np.clip(outline(camera, belief.x), -0.5, edge)
     seen = np.asarray((box[:, 2:] > box[:, :2]).all(1))  # a NaN is not larger
     return np.where(seen[:, None], box, np.nan)
 
