@@ -139,16 +139,19 @@ class Lidar:
         """Points (N, 3) of its cloud in the node's axes."""
         return np.asarray(p_lidar_m, float) @ self.R_node_lidar.T + self.p_node_lidar_m
 
-    def covers(self, p_node_m: ArrayLike) -> NDArray[np.bool_]:
-        """(N,) bool: which points (N, 3) in the node's axes lie between its first and last azimuth
-        and its lowest and highest beam."""
-        x, y, z = ((np.asarray(p_node_m, float) - self.p_node_lidar_m) @ self.R_node_lidar).T
-        middle = self.azimuth_rad.mean()
-        azimuth = (np.arctan2(y, x) - middle + np.pi) % (2 * np.pi) - np.pi
-        elevation = np.arctan2(z, np.hypot(x, y))
-        low, high = self.elevation_rad
-        inside = (elevation >= low) & (elevation <= high)
-        return np.asarray(inside & (np.abs(azimuth) <= np.ptp(self.azimuth_rad) / 2))
+    def to_lidar(self, p_node_m: ArrayLike) -> Array:
+        """Points (N, 3) in the node's axes in its own."""
+        return (np.asarray(p_node_m, float) - self.p_node_lidar_m) @ self.R_node_lidar
+
+    def at_edge(self, p_node_m: ArrayLike) -> NDArray[np.bool_]:
+        """(N,) bool: which points (N, 3) in the node's axes are seen by the lowest beam or by the
+        first or last direction of a sector: what they are on may go on out of view."""
+        x, y, z = self.to_lidar(p_node_m).T
+        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+        first, last = self.azimuth_rad
+        sideways = (azimuth < first + self.step_rad[0]) | (azimuth > last - self.step_rad[0])
+        lowest = elevation < self.elevation_rad[0] + self.step_rad[1] / 2
+        return np.asarray(lowest | (sideways & (last - first < 2 * np.pi - 1e-9)))
 
     def directions(self) -> Array:
         """(N, 3) unit directions of all rays in its own axes, beam by beam from the lowest."""

@@ -163,7 +163,10 @@ class Pipeline:
             return None
         self.account.dropped[f"{name}: empty clouds"] += not len(cloud)
         with self.account.stage("cuboids in clouds"):
-            return self.lidars[take.number].detect(cloud, take.frame)
+            found = self.lidars[take.number].look(cloud, take.frame)
+        for reason, clusters in found.left_out.items():
+            self.account.dropped[f"{name}: clusters left out: {reason}"] += clusters
+        return found.cuboids
 
     def _objects(
         self, takes: Sequence[Take], found: Sequence[tuple[Take, Cuboids | ImageBoxes]]

@@ -17,7 +17,6 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fgloc.chi_square import chi2_quantile
 from fgloc.measurements import PEDESTRIAN, UNKNOWN, VEHICLE, Array
@@ -113,13 +112,10 @@ class Tracker:
         self.advance(t_ns)
         pairs = self._pairs_of_cuboids(cuboids)
         self._hit(pairs[:, 0])
-        # What the edge of its view cuts off has no near side and no size.
-        whole = self._is_whole(cuboids)
-        full = pairs[whole[pairs[:, 1]]]
-        seen = cuboids.take(full[:, 1])
-        self._update(full[:, 0], lambda belief: self._cuboid(belief, seen))
-        self._name_by_size(full[:, 0], seen)
-        free = np.setdiff1d(np.flatnonzero(whole), pairs[:, 1])
+        seen = cuboids.take(pairs[:, 1])
+        self._update(pairs[:, 0], lambda belief: self._cuboid(belief, seen))
+        self._name_by_size(pairs[:, 0], seen)
+        free = np.setdiff1d(np.arange(len(cuboids)), pairs[:, 1])
         part = is_inside(cuboids.centre_m[free, :2], self.tracks.belief, PART_M).any(1)
         new = cuboids.take(free[~part])
         rows = self._bear(born_of_cuboids(new, self.ground_m, self.config))
@@ -172,12 +168,6 @@ class Tracker:
     def _cuboid(self, belief: Belief, seen: Cuboids) -> Measured:
         assert self.lidar is not None  # or there are no cuboids
         return by_cuboid(belief, seen, self.lidar.p_node_lidar_m, self.ground_m, self.config)
-
-    def _is_whole(self, cuboids: Cuboids) -> NDArray[np.bool_]:
-        """(N,) bool: which cuboids the edge of the LiDAR's view does not cut off."""
-        assert self.lidar is not None
-        inside = self.lidar.covers(cuboids.corners_m().reshape(-1, 3))
-        return np.asarray(inside.reshape(-1, 8).all(1))
 
     def _pairs_of_cuboids(self, cuboids: Cuboids) -> Pairs:
         """By the distance of their near sides, in sigmas."""

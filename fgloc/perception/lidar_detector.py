@@ -1,0 +1,119 @@
+"""Objects in the clouds of a head's LiDAR: background removed, clusters found, cuboids fitted."""
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fgloc.errors import InputError
+from fgloc.measurements import Array
+from fgloc.perception.boxes import Cuboids
+from fgloc.perception.cuboid_fit import CAR_M, centre_cov_m2, fit_cuboid
+from fgloc.perception.ground_plane import levelled
+from fgloc.perception.heads import Lidar, PerceptionNode
+from fgloc.perception.lidar_background import VoxelBackground
+from fgloc.perception.lidar_clusters import cluster
+from fgloc.perception.lidar_settings import LidarConfig
+
+FEW, LOW, LONG, CUT = "few points", "low", "long", "cut off by the edge of the view"
+"""Why clusters are left out."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """Cuboids in a cloud, and how many clusters were left out by the reason."""
+
+    cuboids: Cuboids
+    left_out: Counter[str]
+
+
+@dataclass(frozen=True, eq=False)
+class LidarDetector:
+    """Finds objects in the clouds of one head; `learn` makes it."""
+
+    head: int
+    lidar: Lidar
+    background: VoxelBackground
+    config: LidarConfig
+
+    @classmethod
+    def learn(
+        cls, node: PerceptionNode, head: int, clouds: Iterable[Array],
+        config: LidarConfig | None = None,
+    ) -> "LidarDetector":  # fmt: skip
+        """The detector of a head, its background from clouds (M, 3) in the node's axes.
+
+        Raises InputError where the head has no LiDAR, or fewer than two clouds hold points.
+        """
+        lidar = node.heads[head].lidar
+        if lidar is None:
+            raise InputError(f"head {node.heads[head].name!r} has no LiDAR")
+        config = config or LidarConfig()
+        level = (levelled(cloud, node.ground_m) for cloud in clouds)
+        background = VoxelBackground.learn(level, node.ground_m, config)
+        return cls(head, lidar, background, config)
+
+    def detect(self, cloud_m: Array, frame: int) -> Cuboids:
+        """The cuboids in a cloud (M, 3) in the node's axes; M may be 0.
+
+        Raises InputError where Open3D is missing.
+        """
+        return self.look(cloud_m, frame).cuboids
+
+    def look(self, cloud_m: Array, frame: int) -> Found:
+        """As `detect`, with what was left out."""
+        points_m = self.foreground(cloud_m)
+        return self.fit(points_m, self.clusters(points_m), frame)
+
+    def foreground(self, cloud_m: Array) -> Array:
+        """The points (N, 3) of a cloud that are neither ground nor background nor too high."""
+        level_m = levelled(cloud_m, self.background.ground_m)
+        height_m = level_m[:, 2] - self.background.ground_m
+        kept = np.flatnonzero(
+            (height_m > self.config.clearance_m) & (height_m < self.config.most_top_m)
+        )
+        return cloud_m[kept[~self.background.holds(level_m[kept])]]
+
+    def clusters(self, points_m: Array) -> NDArray[np.int64]:
+        """Label (N,) of each point (N, 3), -1 where it is of no cluster."""
+        height_m = float(self.lidar.p_node_lidar_m[2]) - self.background.ground_m - CAR_M[2]
+        ahead = self.lidar.R_node_lidar[:, 0]
+        ahead_rad = float(np.arctan2(ahead[1], ahead[0]))
+        plan_m = (points_m - self.lidar.p_node_lidar_m)[:, :2]
+        step_rad = float(self.lidar.step_rad[1])
+        return cluster(plan_m, max(height_m, 1.0), step_rad, ahead_rad, self.config)
+
+    def fit(self, points_m: Array, labels: NDArray[np.int64], frame: int) -> Found:
+        """Cuboids around the clusters of points (N, 3) that are large and high enough, not too long
+        and wholly in view."""
+        order = np.argsort(labels, kind="stable")
+        order = order[labels[order] >= 0]
+        parts = np.split(points_m[order], np.flatnonzero(np.diff(labels[order])) + 1)
+        why = [self._why_not(part) for part in parts if len(part)]
+        parts = [part for part, reason in zip(parts, why, strict=False) if not reason]
+        left_out = Counter(reason for reason in why if reason)
+        return Found(self._cuboids(parts, frame) if parts else Cuboids.none(), left_out)
+
+    def _cuboids(self, parts: list[Array], frame: int) -> Cuboids:
+        sensor_m, ground_m = self.lidar.p_node_lidar_m, self.background.ground_m
+        fits = [fit_cuboid(part, sensor_m, ground_m, self.config.person_m) for part in parts]
+        centre_m = np.array([fit.centre_m for fit in fits])
+        size_m = np.array([fit.size_m for fit in fits])
+        points = np.array([len(part) for part in parts])
+        person = np.array([fit.person for fit in fits])
+        cov_m2 = centre_cov_m2(centre_m, sensor_m, points, person)
+        yaw_rad = np.array([fit.yaw_rad for fit in fits])
+        frames, head = np.full((2, len(fits)), [[frame], [self.head]])
+        return Cuboids(frames, head, centre_m, size_m, yaw_rad, points, cov_m2)
+
+    def _why_not(self, part: Array) -> str:
+        """Why a cluster (N, 3) is not to be fitted; empty where it is."""
+        if len(part) < self.config.least_points:
+            return FEW
+        if float(part[:, 2].max()) - self.background.ground_m < self.config.least_top_m:
+            return LOW
+        if float(np.linalg.norm(np.ptp(part[:, :2], axis=0))) > self.config.most_length_m:
+            return LONG
+        return CUT if self.lidar.at_edge(part).any() else ""
