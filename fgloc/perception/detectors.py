@@ -22,6 +22,8 @@ from fgloc.perception.settings import BackgroundConfig
 
 _DIFFERS = 255
 """MOG2's mark; shadows have 127."""
+UPRIGHT = 1.2
+"""A pedestrian is so many times higher than wide, at least."""
 _SPECK = np.ones((3, 3), np.uint8)
 
 
@@ -75,7 +77,7 @@ class BackgroundDetector:
         width_m, height_m = upright_size_m(self.camera, self.ground_m, box_px)
         fits = self._fits(box_px, width_m, height_m)
         self.dropped += int((~fits).sum())
-        narrow = width_m < np.minimum(self.config.pedestrian_width_m, height_m)
+        narrow = width_m < np.minimum(self.config.pedestrian_width_m, height_m / UPRIGHT)
         kind = np.where(narrow, PEDESTRIAN, VEHICLE)[fits]
         n = int(fits.sum())
         return ImageBoxes(

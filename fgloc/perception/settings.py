@@ -35,8 +35,9 @@ class BackgroundConfig(Section):
     most_width_m: float = Field(default=20.0, gt=0)
     most_height_m: float = Field(default=8.0, gt=0)
     """Size of an upright object at the box's place on the ground; others are left out."""
-    pedestrian_width_m: float = Field(default=1.1, gt=0)
-    """A narrower box that is taller than wide is a pedestrian's, any other a vehicle's."""
+    pedestrian_width_m: float = Field(default=1.4, gt=0)
+    """A box narrower than this and higher than wide by a fifth is a pedestrian's, any other a
+    vehicle's: towards the corners of an image people lean and look as wide as 1.2 m."""
 
 
 class OnnxConfig(Section):
@@ -117,10 +118,11 @@ class HeadsConfig(Section):
     """Tracks of several heads become one list."""
 
     least_iou: float = Field(default=0.1, gt=0, lt=1)
-    """3-D IoU from which on tracks of two heads are one object."""
+    """3-D IoU from which on tracks of two heads are one object ..."""
     gate_probability: float = Field(default=0.999, gt=0, lt=1)
-    """What was one object stays one while the two places differ by less than this quantile of
-    chi-square."""
+    """... and so they are where their places differ by less than this quantile of chi-square ..."""
+    slack_m: float = Field(default=0.3, ge=0)
+    """... with so much more sigma, as heads see different sides of an object."""
 
 
 class PerceiveConfig(Section):

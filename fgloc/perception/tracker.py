@@ -39,6 +39,7 @@ from fgloc.perception.track_filter import (
     forget_place,
     predict,
     update,
+    was_assumed,
 )
 from fgloc.perception.tracks import Rows, Tracks, is_inside, project, share_inside
 from fgloc.timing import NS_PER_S
@@ -185,7 +186,8 @@ class Tracker:
         """A class for tracks that have none, where the cuboid's size leaves no doubt."""
         long, high = seen.size_m[:, :2].max(-1), seen.size_m[:, 2]
         person = (long < PERSON_TO_M) & (high > PERSON_FROM_M) & (seen.points >= SURE_POINTS)
-        kind = np.where(long > CAR_FROM_M, VEHICLE, np.where(person, PEDESTRIAN, UNKNOWN))
+        car = ((seen.size_m > CAR_FROM_M) & ~was_assumed(seen.size_m))[:, :2].any(-1)
+        kind = np.where(car, VEHICLE, np.where(person, PEDESTRIAN, UNKNOWN))
         new = (self.tracks.kind[rows] == UNKNOWN) & (kind != UNKNOWN)
         self._name(rows[new], kind[new])
 

@@ -1,4 +1,4 @@
-"""The filter behind a track: Jacobians, what a near side says of a centre, and what names change."""
+"""The filter behind a track: Jacobians, what a near side says of a centre, what names change."""
 
 import numpy as np
 import pytest
