@@ -42,8 +42,8 @@ PERIMETER_SHARE = 1.05
 MOST_POINTS = 150
 """That are searched for the yaw, evenly chosen; the rectangle is around all."""
 
-ALONG_M, ACROSS_M = (0.25, 3.0), (0.08, 0.8)
-PERSON_ALONG_M, PERSON_ACROSS_M = (0.1, 0.3), (0.05, 0.2)
+ALONG_M, ACROSS_M = (0.05, 0.65), (0.04, 0.6)
+PERSON_ALONG_M, PERSON_ACROSS_M = (0.05, 0.1), (0.03, 0.15)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +62,13 @@ def fit_cuboid(points_m: Array, sensor_m: Array, ground_m: float, person_m: floa
 
     sensor_m  (3,) place of the sensor in the same axes
     ground_m  z of the ground
-    person_m  a cluster that is nowhere longer, and higher by half than long, is a person
+    person_m  a cluster that is nowhere longer is a person
     """
     plan_m = points_m[:, :2]
     top_m = float(points_m[:, 2].max()) - ground_m
     yaw_rad = best_yaw(plan_m)
     low, high = _limits(plan_m, yaw_rad)
-    longest = float((high - low).max())
-    person = longest <= person_m and top_m > 1.5 * longest
+    person = float((high - low).max()) <= person_m
     usual_m = PERSON_M if person else CAR_M
     eye = sensor_m[:2] @ _axes(yaw_rad)
     if _length_is_second(low, high, eye):

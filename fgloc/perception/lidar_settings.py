@@ -35,5 +35,5 @@ class LidarConfig(Section):
     """Above the ground: lower clusters are left out."""
     most_length_m: float = Field(default=20.0, gt=0)
     """Longer clusters are left out."""
-    person_m: float = Field(default=1.2, gt=0)
-    """A cluster that is nowhere longer, and at least half as high again as long, is a person."""
+    person_m: float = Field(default=1.0, gt=0)
+    """A cluster that is nowhere longer takes the size of a person, any other at least a car's."""
