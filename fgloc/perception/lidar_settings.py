@@ -22,11 +22,12 @@ class LidarConfig(Section):
     most_top_m: float = Field(default=4.5, gt=0)
     """Points higher above the ground are of no road user."""
     lateral_rad: float = Field(default=0.015, gt=0)
-    radial_beams: float = Field(default=1.5, gt=0)
+    radial_beams: float = Field(default=1.3, gt=0)
     radial_least_m: float = Field(default=0.8, gt=0)
-    radial_most_m: float = Field(default=3.5, gt=0)
-    """Neighbours across the line of sight are up to so far apart, and along it: there by so
-    many times what two beams are apart on a level surface, within these limits."""
+    radial_most_m: float = Field(default=4.6, gt=0)
+    """Neighbours are up to so far apart across the line of sight. Along it by so many times what
+    two beams are apart on a level surface, within limits: parts of one car are no farther apart
+    than its length."""
     core_points: int = Field(default=3, ge=1)
     """Neighbours, itself among them, that let a cluster grow from a point."""
     least_points: int = Field(default=4, ge=3)

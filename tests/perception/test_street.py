@@ -96,7 +96,7 @@ def test_a_car_is_painted_within_its_projected_corners():
 
 
 def test_the_picture_and_the_cloud_show_one_world():
-    made, image = painted(standing(25.0, -3.0, 0.5), walls=[[14, 15, -9, -1, 0, 3]])
+    made, image = painted(standing(25.0, -3.0, 0.5), walls=[[14, 15, -9, -1.9, 0, 6.5]])
     one, eye = made.node.heads[0].lidar, made.node.cameras[0]
     seen = scan(made, one, START_NS, np.random.default_rng(2))
     pixels = eye.project(one.to_node(seen.points_m))
@@ -105,7 +105,7 @@ def test_the_picture_and_the_cloud_show_one_world():
     painted_red, on_car = red(image)[row, column], seen.hit[inside] == 1  # box 0 is the wall
     # But for pixels on an edge:
     assert painted_red[on_car].mean() > 0.85
-    assert painted_red[~on_car].mean() < 0.003
+    assert painted_red[~on_car].mean() < 0.01
     assert 0 < red(image).sum() < red(painted(standing(25.0, -3.0, 0.5))[1]).sum()
 
 
