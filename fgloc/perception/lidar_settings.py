@@ -38,3 +38,8 @@ class LidarConfig(Section):
     """Longer clusters are left out."""
     person_m: float = Field(default=1.0, gt=0)
     """A cluster that is nowhere longer takes the size of a person, any other at least a car's."""
+    shadow_m: float = Field(default=0.6, ge=0)
+    """A cluster to which more would have to be added across the line of sight is left out where
+    something nearer hides that much beside it: its points do not tell which way it goes on."""
+    fragment_m: float = Field(default=1.5, ge=0)
+    """So much of a car may be hidden beside what looks like a person."""

@@ -13,7 +13,7 @@ from fgloc.perception.cuboid_fit import CAR_M, PERSON_M, fit_cuboid
 from fgloc.perception.ground_plane import levelled
 from fgloc.perception.lidar_background import VoxelBackground
 from fgloc.perception.lidar_clusters import cluster
-from fgloc.perception.lidar_detector import CUT, FEW, LidarDetector
+from fgloc.perception.lidar_detector import CUT, FEW, HIDDEN, LidarDetector
 from fgloc.perception.lidar_settings import LidarConfig
 from fgloc.perception.ray_cast import scan
 from fgloc.perception.street import PERSON_SIZE_M, Sway
@@ -166,6 +166,15 @@ def test_what_the_edge_of_the_view_cuts_is_left_out_and_counted(detector):
     assert (len(far.cuboids), far.left_out[FEW]) in {(0, 1), (0, 0)}
 
 
+def test_what_something_nearer_hides_a_side_of_is_left_out_and_counted(detector):
+    lorry = standing(20.0, 4.0, size_m=(6.0, 2.5, 4.4), number=2)
+    behind, beside = standing(32.0, 3.8), standing(32.0, -2.0)
+    hidden = found(detector, lorry, behind)
+    assert hidden.left_out == {HIDDEN: 1}
+    assert len(hidden.cuboids) == 1  # the lorry
+    assert len(found(detector, lorry, beside).cuboids) == 2
+
+
 def test_a_learnt_street_in_use_shows_the_car_and_nothing_else():
     made = street(driving((75.0, 15.0), -2.0, 12.0), walls=WALLS)
     clouds = frames(made, 24)
@@ -200,7 +209,7 @@ def test_scans_confirm_the_covariance(kind, size_m):
         hits = scan(made, one, START_NS, rng)
         points = one.to_node(hits.points_m[hits.hit == 0])
         points = points[points[:, 2] > GROUND_M + 0.25]
-        cuboids = detector.fit(points, np.zeros(len(points), np.int64), 0).cuboids
+        cuboids = detector.fit(points, np.zeros(len(points), np.int64), points, 0).cuboids
         if len(cuboids):
             error = cuboids.centre_m[0, :2] - place
             squares.append(error @ np.linalg.solve(cuboids.cov_m2[0], error) / 2)
