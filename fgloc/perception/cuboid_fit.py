@@ -27,7 +27,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgloc.factors.detection import line_of_sight_cov_m2
 from fgloc.measurements import Array
+
+Law = tuple[float, float]
 
 CAR_M = (4.6, 1.85, 1.5)
 PERSON_M = (0.5, 0.6, 1.75)
@@ -42,19 +45,21 @@ PERIMETER_SHARE = 1.05
 MOST_POINTS = 150
 """That are searched for the yaw, evenly chosen; the rectangle is around all."""
 
-ALONG_M, ACROSS_M = (0.25, 3.0), (0.08, 0.8)
-PERSON_ALONG_M, PERSON_ACROSS_M = (0.1, 0.3), (0.05, 0.2)
+ALONG_M, ACROSS_M = (0.05, 0.65), (0.04, 0.6)
+PERSON_ALONG_M, PERSON_ACROSS_M = (0.05, 0.1), (0.03, 0.15)
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A cuboid: centre (3,), length, width and height (3,), yaw, in the axes of its points, and
-    whether its shape is a person's."""
+    """A cuboid: centre (3,), length, width and height (3,), yaw, in the axes of its points; whether
+    its shape is a person's, and how much was added to what its points show, across the line of
+    sight."""
 
     centre_m: Array
     size_m: Array
     yaw_rad: float
     person: bool
+    aside_m: float
 
 
 def fit_cuboid(points_m: Array, sensor_m: Array, ground_m: float, person_m: float) -> Fit:
@@ -62,26 +67,28 @@ def fit_cuboid(points_m: Array, sensor_m: Array, ground_m: float, person_m: floa
 
     sensor_m  (3,) place of the sensor in the same axes
     ground_m  z of the ground
-    person_m  a cluster that is nowhere longer, and higher by half than long, is a person
+    person_m  a cluster that is nowhere longer is a person
     """
     plan_m = points_m[:, :2]
     top_m = float(points_m[:, 2].max()) - ground_m
     yaw_rad = best_yaw(plan_m)
     low, high = _limits(plan_m, yaw_rad)
-    longest = float((high - low).max())
-    person = longest <= person_m and top_m > 1.5 * longest
+    person = float((high - low).max()) <= person_m
     usual_m = PERSON_M if person else CAR_M
     eye = sensor_m[:2] @ _axes(yaw_rad)
     if _length_is_second(low, high, eye):
         yaw_rad += np.pi / 2
         low, high = _limits(plan_m, yaw_rad)
         eye = sensor_m[:2] @ _axes(yaw_rad)
+    shown = high - low
     low, high = _extended(low, high, eye, np.array(usual_m[:2]))
+    sight = (low + high) / 2 - eye
+    aside_m = float((high - low - shown) @ np.abs(sight[::-1]) / np.linalg.norm(sight))
     height_m = max(top_m, usual_m[2])
     middle = _axes(yaw_rad) @ (low + high) / 2
     centre_m = np.array([*middle, ground_m + height_m / 2])
     yaw_rad = (yaw_rad + np.pi / 2) % np.pi - np.pi / 2
-    return Fit(centre_m, np.array([*(high - low), height_m]), yaw_rad, person)
+    return Fit(centre_m, np.array([*(high - low), height_m]), yaw_rad, person, aside_m)
 
 
 def best_yaw(plan_m: Array) -> float:
@@ -134,14 +141,12 @@ def centre_cov_m2(
     points    (N,) on each object
     person    (N,) bool: which are persons
     """
-    sight = (centre_m - sensor_m)[:, :2]
-    along = sight / np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1e-9)
-    across = np.stack([-along[:, 1], along[:, 0]], -1)
 
-    def variance(car: tuple[float, float], of_person: tuple[float, float]) -> Array:
+    def sigma_m(car: Law, of_person: Law) -> Array:
         base, each = np.where(person, np.reshape(of_person, (2, 1)), np.reshape(car, (2, 1)))
-        return np.asarray(base**2 + each**2 / points)
+        return np.asarray(np.sqrt(base**2 + each**2 / points))
 
-    axes = np.stack([along, across], -1)
-    diagonal = np.stack([variance(ALONG_M, PERSON_ALONG_M), variance(ACROSS_M, PERSON_ACROSS_M)], 1)
-    return np.asarray(axes * diagonal[:, None] @ axes.swapaxes(1, 2))
+    return line_of_sight_cov_m2(
+        (centre_m - sensor_m)[:, :2], sigma_m(ALONG_M, PERSON_ALONG_M),
+        sigma_m(ACROSS_M, PERSON_ACROSS_M),
+    )  # fmt: skip

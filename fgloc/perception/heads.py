@@ -143,11 +143,17 @@ class Lidar:
         """Points (N, 3) in the node's axes in its own."""
         return (np.asarray(p_node_m, float) - self.p_node_lidar_m) @ self.R_node_lidar
 
+    def angles(self, p_node_m: ArrayLike) -> tuple[Array, Array, Array]:
+        """Azimuth and elevation in rad and range in m, (N,) each, of points (N, 3) in the node's
+        axes as it sees them."""
+        x, y, z = self.to_lidar(p_node_m).T
+        plan_m = np.hypot(x, y)
+        return np.arctan2(y, x), np.arctan2(z, plan_m), np.hypot(plan_m, z)
+
     def at_edge(self, p_node_m: ArrayLike) -> NDArray[np.bool_]:
         """(N,) bool: which points (N, 3) in the node's axes are seen by the lowest beam or by the
         first or last direction of a sector: what they are on may go on out of view."""
-        x, y, z = self.to_lidar(p_node_m).T
-        azimuth, elevation = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
+        azimuth, elevation, _ = self.angles(p_node_m)
         first, last = self.azimuth_rad
         sideways = (azimuth < first + self.step_rad[0]) | (azimuth > last - self.step_rad[0])
         lowest = elevation < self.elevation_rad[0] + self.step_rad[1] / 2

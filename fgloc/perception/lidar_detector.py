@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from fgloc.errors import InputError
 from fgloc.measurements import Array
 from fgloc.perception.boxes import Cuboids
-from fgloc.perception.cuboid_fit import CAR_M, centre_cov_m2, fit_cuboid
+from fgloc.perception.cuboid_fit import CAR_M, Fit, centre_cov_m2, fit_cuboid
 from fgloc.perception.ground_plane import levelled
 from fgloc.perception.heads import Lidar, PerceptionNode
 from fgloc.perception.lidar_background import VoxelBackground
 from fgloc.perception.lidar_clusters import cluster
 from fgloc.perception.lidar_settings import LidarConfig
+from fgloc.perception.lidar_shadows import shadowed
 
-FEW, LOW, LONG, CUT = "few points", "low", "long", "cut off by the edge of the view"
+FEW, LOW, LONG = "few points", "low", "long"
+CUT, HIDDEN = "cut off by the edge of the view", "partly hidden by something nearer"
 """Why clusters are left out."""
 
 
@@ -65,7 +67,7 @@ class LidarDetector:
     def look(self, cloud_m: Array, frame: int) -> Found:
         """As `detect`, with what was left out."""
         points_m = self.foreground(cloud_m)
-        return self.fit(points_m, self.clusters(points_m), frame)
+        return self.fit(points_m, self.clusters(points_m), cloud_m, frame)
 
     def foreground(self, cloud_m: Array) -> Array:
         """The points (N, 3) of a cloud that are neither ground nor background nor too high."""
@@ -85,26 +87,43 @@ class LidarDetector:
         step_rad = float(self.lidar.step_rad[1])
         return cluster(plan_m, max(height_m, 1.0), step_rad, ahead_rad, self.config)
 
-    def fit(self, points_m: Array, labels: NDArray[np.int64], frame: int) -> Found:
+    def fit(self, points_m: Array, labels: NDArray[np.int64], cloud_m: Array, frame: int) -> Found:
         """Cuboids around the clusters of points (N, 3) that are large and high enough, not too long
-        and wholly in view."""
+        and wholly in view, which the whole cloud (M, 3) tells."""
         order = np.argsort(labels, kind="stable")
         order = order[labels[order] >= 0]
         parts = np.split(points_m[order], np.flatnonzero(np.diff(labels[order])) + 1)
         why = [self._why_not(part) for part in parts if len(part)]
         parts = [part for part, reason in zip(parts, why, strict=False) if not reason]
-        left_out = Counter(reason for reason in why if reason)
-        return Found(self._cuboids(parts, frame) if parts else Cuboids.none(), left_out)
+        fits = [self._fit(part) for part in parts]
+        hidden = self._hidden(parts, fits, cloud_m)
+        left_out = Counter(reason for reason in [*why, *[HIDDEN] * int(hidden.sum())] if reason)
+        kept = np.flatnonzero(~hidden)
+        points = np.array([len(parts[k]) for k in kept], np.int64)
+        return Found(self._cuboids([fits[k] for k in kept], points, frame), left_out)
 
-    def _cuboids(self, parts: list[Array], frame: int) -> Cuboids:
+    def _fit(self, part: Array) -> Fit:
         sensor_m, ground_m = self.lidar.p_node_lidar_m, self.background.ground_m
-        fits = [fit_cuboid(part, sensor_m, ground_m, self.config.person_m) for part in parts]
+        return fit_cuboid(part, sensor_m, ground_m, self.config.person_m)
+
+    def _hidden(self, parts: list[Array], fits: list[Fit], cloud_m: Array) -> NDArray[np.bool_]:
+        """(P,) bool: what shows so little of itself that it matters what hides the rest, and is
+        hidden."""
+        unseen_m = np.array([self.config.fragment_m if f.person else f.aside_m for f in fits])
+        hidden = unseen_m > self.config.shadow_m
+        doubtful = np.flatnonzero(hidden)
+        some = [parts[k] for k in doubtful]
+        hidden[doubtful] = shadowed(self.lidar, cloud_m, some, unseen_m[doubtful])
+        return hidden
+
+    def _cuboids(self, fits: list[Fit], points: NDArray[np.int64], frame: int) -> Cuboids:
+        if not fits:
+            return Cuboids.none()
         centre_m = np.array([fit.centre_m for fit in fits])
         size_m = np.array([fit.size_m for fit in fits])
-        points = np.array([len(part) for part in parts])
-        person = np.array([fit.person for fit in fits])
-        cov_m2 = centre_cov_m2(centre_m, sensor_m, points, person)
         yaw_rad = np.array([fit.yaw_rad for fit in fits])
+        person = np.array([fit.person for fit in fits])
+        cov_m2 = centre_cov_m2(centre_m, self.lidar.p_node_lidar_m, points, person)
         frames, head = np.full((2, len(fits)), [[frame], [self.head]])
         return Cuboids(frames, head, centre_m, size_m, yaw_rad, points, cov_m2)
 

@@ -22,11 +22,12 @@ class LidarConfig(Section):
     most_top_m: float = Field(default=4.5, gt=0)
     """Points higher above the ground are of no road user."""
     lateral_rad: float = Field(default=0.015, gt=0)
-    radial_beams: float = Field(default=1.5, gt=0)
+    radial_beams: float = Field(default=1.3, gt=0)
     radial_least_m: float = Field(default=0.8, gt=0)
-    radial_most_m: float = Field(default=3.5, gt=0)
-    """Neighbours across the line of sight are up to so far apart, and along it: there by so
-    many times what two beams are apart on a level surface, within these limits."""
+    radial_most_m: float = Field(default=4.6, gt=0)
+    """Neighbours are up to so far apart across the line of sight. Along it by so many times what
+    two beams are apart on a level surface, within limits: parts of one car are no farther apart
+    than its length."""
     core_points: int = Field(default=3, ge=1)
     """Neighbours, itself among them, that let a cluster grow from a point."""
     least_points: int = Field(default=4, ge=3)
@@ -35,5 +36,10 @@ class LidarConfig(Section):
     """Above the ground: lower clusters are left out."""
     most_length_m: float = Field(default=20.0, gt=0)
     """Longer clusters are left out."""
-    person_m: float = Field(default=1.2, gt=0)
-    """A cluster that is nowhere longer, and at least half as high again as long, is a person."""
+    person_m: float = Field(default=1.0, gt=0)
+    """A cluster that is nowhere longer takes the size of a person, any other at least a car's."""
+    shadow_m: float = Field(default=0.6, ge=0)
+    """A cluster to which more would have to be added across the line of sight is left out where
+    something nearer hides that much beside it: its points do not tell which way it goes on."""
+    fragment_m: float = Field(default=1.5, ge=0)
+    """So much of a car may be hidden beside what looks like a person."""

@@ -64,7 +64,7 @@ def write_cloud(path: Path, points_m: ArrayLike) -> None:
 
 def _read_npz(path: Path) -> Array:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             names = list(arrays)
             points = arrays[POINTS if POINTS in names or len(names) != 1 else names[0]]
     except KeyError as err:
