@@ -1,4 +1,4 @@
-"""What is tried and may fail: frames that cannot be read are counted, with time spent by stage."""
+"""What is tried and may fail: frames that cannot be read are counted; seconds by the stage."""
 
 import time
 from collections import Counter, defaultdict
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 class Account:
-    """What was dropped by the reason, what is to be said, and seconds by the stage."""
+    """What was dropped by the reason, what is to be said, processor seconds by the stage."""
 
     def __init__(self) -> None:
         self.dropped: Counter[str] = Counter()
@@ -33,9 +33,9 @@ class Account:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Seconds go to a stage."""
-        start_s = time.perf_counter()
+        """Seconds of the processor go to a stage."""
+        start_s = time.process_time()
         try:
             yield
         finally:
-            self.seconds[name] += time.perf_counter() - start_s
+            self.seconds[name] += time.process_time() - start_s

@@ -48,7 +48,7 @@ class Perceived:
     frames      of the node
     dropped     how much was not used, by the reason
     remarks     what seems wrong with the recording
-    seconds     spent, by the stage
+    seconds     of the processor, by the stage
     """
 
     detections: NodeDetections
