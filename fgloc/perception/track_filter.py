@@ -41,6 +41,8 @@ LONG_RATIO = 1.4
 """A cuboid whose length was seen and is so many times its width shows a yaw."""
 ALIKE_RAD = np.pi / 12
 """Sides of a cuboid and a track that are turned by less are the same sides."""
+SURE_SHARE = 0.3
+"""A velocity whose sigma is below this share of it has a course."""
 STEP = 1e-4
 """Of numerical differences, m and rad."""
 SIDE_SHARE = 0.3
@@ -180,16 +182,23 @@ def by_sighting(belief: Belief, seen: Sightings, camera_m: Array) -> Measured:
     return Measured(seen.p_node_m - (x[:, :2] - half * along * depth), H, seen.cov_m2)
 
 
-def by_box(belief: Belief, box_px: Array, camera: Camera, place: PlaceConfig) -> Measured:
+def by_box(
+    belief: Belief, box_px: Array, camera: Camera, ground_m: float, place: PlaceConfig
+) -> Measured:
     """A box (T, 4) for each state, whole in the image of a calibrated camera: its edges are the
-    outermost corners of the cuboid. Differentiated numerically, for the lens may distort."""
+    outermost corners of the cuboid, and its foot is on the ground. Differentiated numerically, for
+    the lens may distort."""
     x = belief.x
     steps = np.concatenate([np.zeros((1, D)), STEP * np.eye(D), -STEP * np.eye(D)])
     edges = outline(camera, (x[:, None] + steps).reshape(-1, D)).reshape(len(x), -1, 4)
-    H = (edges[:, 1 : D + 1] - edges[:, D + 1 :]).swapaxes(1, 2) / (2 * STEP)
+    H = np.zeros((len(x), 5, D))
+    H[:, :4] = (edges[:, 1 : D + 1] - edges[:, D + 1 :]).swapaxes(1, 2) / (2 * STEP)
+    H[:, 4, 2], H[:, 4, 7] = 1, -0.5
+    error = np.column_stack([box_px - edges[:, 0], ground_m - x[:, 2] + x[:, 7] / 2])
     size_px = np.tile(box_px[:, 2:] - box_px[:, :2], 2)
-    sigma = np.hypot(place.sigma_px, place.sigma_share * size_px)
-    return Measured(box_px - edges[:, 0], H, sigma[:, :, None] ** 2 * np.eye(4))
+    edge_px = np.hypot(place.sigma_px, place.sigma_share * size_px)
+    sigma = np.column_stack([edge_px, np.full(len(x), FOOT_SIGMA_M)])
+    return Measured(error, H, sigma[:, :, None] ** 2 * np.eye(5))
 
 
 def outline(camera: Camera, x: Array) -> Array:
@@ -212,7 +221,9 @@ def along_course(belief: Belief, kind: NDArray[np.int64], config: TrackConfig) -
     """Fast vehicles drive along their length; one that seems to drive sideways has its length and
     width exchanged first, which is the same cuboid."""
     vx, vy = belief.x[:, V_].T
-    fast = (np.hypot(vx, vy) > config.course_from_mps) & (kind == VEHICLE)
+    speed = np.hypot(vx, vy)
+    sigma = np.sqrt(np.trace(belief.P[:, V_, V_], axis1=1, axis2=2))
+    fast = (speed > config.course_from_mps) & (sigma < SURE_SHARE * speed) & (kind == VEHICLE)
     if not fast.any():
         return belief
     rows = np.flatnonzero(fast)

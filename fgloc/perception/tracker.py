@@ -90,7 +90,7 @@ class Tracker:
         self.matches: list[Match] = []
         self.doubtful = 0
         self._gate = chi2_quantile(self.config.gate_probability, 2)
-        self._box_gate = chi2_quantile(self.config.gate_probability, 4)
+        self._box_gate = chi2_quantile(self.config.gate_probability, 5)
         self._now_ns = self._begun_ns = 0
         self._born = 0
 
@@ -232,11 +232,13 @@ class Tracker:
             return
         camera = self.cameras[number]
         if self.place.point == "edges":
-            box_px, gate = boxes.box_px, self._box_gate
-            measured = by_box(self.tracks.belief.at(rows), box_px, camera, self.place)
-            near = np.flatnonzero(measured.nis(self.tracks.belief.at(rows)) < gate)
-            fits = box_px[near]
-            self._update(rows[near], lambda belief: by_box(belief, fits, camera, self.place))
+            belief = self.tracks.belief.at(rows)
+            nis = by_box(belief, boxes.box_px, camera, self.ground_m, self.place).nis(belief)
+            near = np.flatnonzero(nis < self._box_gate)
+            fits = boxes.box_px[near]
+            self._update(
+                rows[near], lambda some: by_box(some, fits, camera, self.ground_m, self.place)
+            )
             return
         seen = self.places[number].sight(boxes.box_px, self.tracks.kind[rows])
         rows, seen = rows[seen.known], seen.take(np.flatnonzero(seen.known))

@@ -1,7 +1,7 @@
-"""A tiny network as the bytes of an ONNX file: it says the same whatever it is shown.
+"""A tiny network as the bytes of an ONNX file: a constant, and the mean of what it is shown times
+another.
 
-Protobuf's wire format by hand: a field is its number and type in one varint, then its value. The
-network takes the mean of the image, multiplies it by 0 and adds a constant.
+Protobuf's wire format by hand: a field is its number and type in one varint, then its value.
 """
 
 import struct
@@ -50,20 +50,20 @@ def integers(name: str, values) -> bytes:
     return block(5, block(1, name) + b"".join(whole(8, v) for v in values) + whole(20, INT64))
 
 
-def network(output: np.ndarray, width: int, height: int) -> bytes:
-    """The file of a network with input (1, 3, height, width) that always says `output`."""
+def network(output: np.ndarray, gain: np.ndarray, width: int, height: int) -> bytes:
+    """The file of a network with input (1, 3, height, width) that says output + gain * mean."""
     shape = (1, 3, height, width)
     keep = block(5, block(1, "keepdims") + whole(3, 1) + whole(20, 2))
     axes = integers("axes", range(4))
     one = (1,) * output.ndim
     graph = b"".join([
         block(1, node("ReduceMean", ["image"], "mean", axes + keep)),
-        block(1, node("Mul", ["mean", "zero"], "nothing")),
-        block(1, node("Reshape", ["nothing", "shape"], "flat")),
-        block(1, node("Add", ["flat", "said"], "output")),
+        block(1, node("Reshape", ["mean", "shape"], "flat")),
+        block(1, node("Mul", ["flat", "gain"], "more")),
+        block(1, node("Add", ["more", "said"], "output")),
         block(2, "constant"),
-        block(5, tensor("zero", np.zeros((1, 1, 1, 1)))),
         block(5, shape_tensor("shape", one)),
+        block(5, tensor("gain", gain)),
         block(5, tensor("said", output)),
         block(11, value_info("image", shape)),
         block(12, value_info("output", output.shape)),

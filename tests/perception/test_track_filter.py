@@ -61,9 +61,7 @@ def check_jacobian(measure, belief: Belief):
     for k in range(9):
         step = np.zeros(9)
         step[k] = 1e-6
-        ahead, back = (
-            measure(Belief(belief.x + sign * step, belief.P)).error for sign in (1, -1)
-        )
+        ahead, back = (measure(Belief(belief.x + sign * step, belief.P)).error for sign in (1, -1))
         numeric = -(ahead - back) / 2e-6
         np.testing.assert_allclose(H[:, :, k], numeric, atol=1e-5, err_msg=f"state {k}")
 
