@@ -113,7 +113,7 @@ def forget_place(belief: Belief) -> Belief:
     P = belief.P.copy()
     P[:, :2, :], P[:, :, :2] = 0, 0
     P[:, [0, 1], [0, 1]] = OPEN_SIGMA**2
-    return Belief(belief.x, P)
+    return Belief(belief.x.copy(), P)
 
 
 def by_cuboid(

@@ -1,54 +1,48 @@
-"""A small node and a street of one car, as the tests of perception share them."""
+"""A short street for a small node: one car drives away, another comes, somebody walks."""
+
+from dataclasses import replace
 
 import numpy as np
 
-from fgloc.datasets.streets import START_NS
+from fgloc.datasets.simulator import instants
+from fgloc.datasets.street_recording import record, straight_solids
+from fgloc.datasets.streets import ORIGIN, START_NS
 from fgloc.infrastructure import Node
-from fgloc.measurements import VEHICLE
-from fgloc.perception.heads import Camera, Head, Lidar, PerceptionNode
+from fgloc.measurements import PEDESTRIAN, VEHICLE
+from fgloc.perception.heads import Head, PerceptionNode
 from fgloc.perception.paper_nodes import lidar_32, pinhole
-from fgloc.perception.street import CAR_SIZE_M, Mover, Solids, Street, Sway
+from fgloc.perception.recording import Recording
+from fgloc.perception.street import PERSON_SIZE_M, Mover, Solids, Street
+from fgloc.timing import NS_PER_S
 
-SURVEY = Node("n", np.array([100.0, 50.0, 10.0]), np.pi / 2)
-"""It looks North; 10 m above the ground."""
-RED = (0.0, 0.0, 255.0)
-
-
-def camera(name: str = "camera", size_px: tuple[int, int] = (240, 150)) -> Camera:
-    """Ahead and 21 deg down, with the papers' view of 80 deg across."""
-    return pinhole(name, 0.0, focal_px=1144.0 * size_px[0] / 1920, size_px=size_px)
+NODE = Node("small", np.array([5.0, -3.0, 10.0]), 0.3)
+CARS, PERSON = (1, 2), 3
 
 
-def lidar(sector_rad: float = np.deg2rad(60)) -> Lidar:
-    return lidar_32("lidar", 0.0, sector_rad)
+def small_node(node: Node = NODE, height_m: float = 10.0, ahead_rad: float = 0.0):
+    """One head: a camera of 480 x 300 px, a LiDAR with half the directions, 60 deg across."""
+    camera = pinhole("camera", ahead_rad, size_px=(480, 300), focal_px=286.0)
+    lidar = lidar_32("lidar", ahead_rad, np.deg2rad(80))
+    lidar = replace(lidar, step_rad=np.deg2rad([0.4, 1.0]))
+    return PerceptionNode(node, (Head("head", (camera,), lidar),), height_m)
 
 
-def node(survey: Node = SURVEY) -> PerceptionNode:
-    return PerceptionNode(survey, (Head("head", (camera(),), lidar()),), 10.0)
+def small_recording(duration_s: float = 3.0, hz: int = 10, seed: int = 0) -> Recording:
+    """A recording of it; the truth's numbers are `CARS` and `PERSON`."""
+    node = small_node()
+    span_ns = np.array([START_NS, START_NS + 10 * NS_PER_S])
 
+    def mover(number, kind, from_m, to_m, **more):
+        p_m = NODE.to_world(np.array([from_m, to_m], float))
+        yaw = NODE.yaw_rad + np.arctan2(to_m[1] - from_m[1], to_m[0] - from_m[0])
+        return Mover(number, kind, span_ns, p_m, np.full(2, yaw), **more)
 
-def standing(
-    x_m: float, y_m: float, yaw_rad: float = 0.0, number: int = 1, size_m=CAR_SIZE_M, kind=VEHICLE
-) -> Mover:
-    """A road user that stands for an hour, by its place and yaw along the node's axes."""
-    t_ns = START_NS + np.array([0, 3600 * 10**9])
-    p_m = SURVEY.to_world(np.array([[x_m, y_m]] * 2))
-    return Mover(number, kind, t_ns, p_m, np.full(2, yaw_rad + SURVEY.yaw_rad), size_m, RED)
-
-
-def driving(x_m: tuple[float, float], y_m: float, seconds: float, number: int = 1) -> Mover:
-    """A car that drives along the node's x axis."""
-    t_ns = START_NS + np.array([0, round(seconds * 1e9)])
-    p_m = SURVEY.to_world(np.array([[x, y_m] for x in x_m]))
-    yaw_rad = (0.0 if x_m[1] > x_m[0] else np.pi) + SURVEY.yaw_rad
-    return Mover(number, VEHICLE, t_ns, p_m, np.full(2, yaw_rad), CAR_SIZE_M, RED)
-
-
-def street(*movers: Mover, walls=(), sway: Sway | None = None) -> Street:
-    """Movers, and walls as rows of lowest and highest x, y and z above the ground."""
-    limits = np.array(walls, float).reshape(-1, 3, 2)
-    centre_m, size_m = limits.mean(-1) - [0, 0, 10.0], np.ptp(limits, axis=-1)
-    n = len(limits)
-    return Street(
-        node(), Solids(centre_m, size_m, np.zeros(n), np.full((n, 3), 200.0)), movers, sway
-    )
+    movers = (
+        mover(CARS[0], VEHICLE, (20, 2.0), (120, 2.0), colour=(40, 40, 220)),
+        mover(CARS[1], VEHICLE, (62, -2.0), (-38, -2.0), colour=(230, 230, 230)),
+        mover(PERSON, PEDESTRIAN, (26, -7.0), (26, 8.0), size_m=PERSON_SIZE_M,
+              colour=(20, 160, 60)),
+    )  # fmt: skip
+    wall = Solids(*straight_solids([(20, 90, 10, 14, 0, 6)], node.ground_m))
+    t_ns = instants(START_NS, duration_s, hz)
+    return record("small", Street(node, wall, movers), ORIGIN, t_ns, seed)

@@ -5,18 +5,22 @@ import pytest
 
 from fgloc.measurements import PEDESTRIAN, VEHICLE
 from fgloc.perception.boxes import Cuboids
-from fgloc.perception.ground import Sightings
-from fgloc.perception.settings import TrackConfig
+from fgloc.perception.cuboid_fit import CAR_M
+from fgloc.perception.ground import ByBottom, Sightings
+from fgloc.perception.paper_nodes import pinhole
+from fgloc.perception.settings import PlaceConfig, TrackConfig
 from fgloc.perception.track_filter import (
     YAW,
     Belief,
     along_course,
     born_of_cuboids,
     born_of_sightings,
+    by_box,
     by_cuboid,
     by_kind,
     by_sighting,
     forget_place,
+    outline,
     predict,
     update,
 )
@@ -127,6 +131,7 @@ def test_measurements_alone_are_what_is_left_when_the_place_is_forgotten():
     alone = update(forget_place(belief), by_sighting(belief, seen, SENSOR_M))
     np.testing.assert_allclose(alone.x[:, :2], seen.p_node_m, atol=1e-5)
     np.testing.assert_allclose(alone.P[:, :2, :2], seen.cov_m2, rtol=1e-5, atol=1e-8)
+    assert forget_place(belief).x is not belief.x  # both are written into
 
 
 def test_a_car_that_drives_sideways_has_its_sides_exchanged():
@@ -147,9 +152,38 @@ def test_prediction_moves_by_the_velocity_and_is_less_sure():
     np.testing.assert_allclose(two.P, after.P, atol=1e-12)
 
 
-def test_a_box_seen_broadside_begins_a_car_across_the_ray():
-    seen = Sightings(np.array([[30.0, 0.0]]), np.eye(2)[None] * 0.1, np.ones(1), np.array([4.5]))
+def test_jacobian_of_a_box_is_that_of_its_outermost_corners():
+    camera = pinhole("camera", 0.0)
+    belief = Belief(np.array([[40.0, 3, -9.25, 5, 0, 4.5, 1.8, 1.5, 0.3]]), np.eye(9)[None])
+    box_px = outline(camera, belief.x) + [[2.0, -1.0, 3.0, 1.0]]
+    place = PlaceConfig()
+    found = by_box(belief, box_px, camera, GROUND_M, place)
+    np.testing.assert_allclose(found.error, [[2, -1, 3, 1, 0]], atol=1e-9)
+    check_jacobian(lambda b: by_box(b, box_px, camera, GROUND_M, place), belief)
+
+
+def test_boxes_alone_find_place_and_size_of_a_car_that_drives_by():
+    camera = pinhole("camera", 0.0)
+    true = np.array([[30.0, -6, -9.2, 8, 4, 4.9, 2.0, 1.6, np.arctan2(4, 8)]])
+    kind = np.array([VEHICLE])
+    seen = ByBottom(camera, GROUND_M, PlaceConfig()).sight(outline(camera, true), kind)
+    belief = born_of_sightings(seen, kind, camera.p_node_cam_m, GROUND_M, CONFIG)
+    for _ in range(30):
+        box = by_box(belief, outline(camera, true), camera, GROUND_M, PlaceConfig())
+        belief = along_course(update(belief, box), kind, CONFIG)
+        belief = predict(belief, 0.1, kind, CONFIG)
+        true[:, :2] += 0.1 * true[:, 3:5]
+    off = belief.x[0, :2] - true[0, :2]
+    assert np.abs(off).max() < 0.5
+    assert off @ np.linalg.solve(belief.P[0, :2, :2], off) < 9
+    assert belief.x[0, 6] == pytest.approx(2.0, abs=0.15)
+
+
+def test_a_box_as_wide_as_a_car_begins_one_that_drives_along_the_ray():
+    seen = Sightings(
+        np.array([[30.0, 0.0]]), np.eye(2)[None] * 0.1, np.ones(1), np.array([CAR_M[1]])
+    )
     born = born_of_sightings(seen, np.array([VEHICLE]), SENSOR_M, GROUND_M, CONFIG)
-    deep = (4.5 * np.cos(0.809) + 1.8 * np.sin(0.809) + 1.8) / 2  # at 46 deg it is as wide
-    assert born.x[0, 0] == pytest.approx(30 + deep / 2, abs=0.01)
-    assert abs(np.sin(born.x[0, YAW])) > 0.9
+    assert born.x[0, 0] == pytest.approx(30 + CAR_M[0] / 2)
+    assert born.x[0, YAW] == pytest.approx(0)
+    assert born.P[0, 0, 0] > born.P[0, 1, 1]
