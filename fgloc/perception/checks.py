@@ -20,6 +20,8 @@ SHIFT_PX, LATE_S = 8.0, 0.03
 SIGMAS = 4.0
 LASTING = 10.0
 """Errors of one object last: no more than one pair in so many is new."""
+LEAST_SCALE = 0.2
+"""Pairs are never better than this share of what a match states."""
 _HUBER = 2.0
 _ROUNDS = 20
 
@@ -52,7 +54,7 @@ def align(matches: Sequence[Match]) -> Alignment | None:
         found = np.linalg.lstsq(root[:, None] * A, root * off, rcond=None)[0]
         left = off - A @ found
         weight = _HUBER / np.maximum(np.abs(left), _HUBER)
-    scale = max(float(np.sqrt((weight * left**2).sum() / weight.sum())), 1.0)
+    scale = max(float(np.sqrt((weight * left**2).sum() / weight.sum())), LEAST_SCALE)
     cov = np.linalg.pinv((A * weight[:, None]).T @ A) * scale**2 * LASTING
     rms_px = float(np.sqrt(np.average((left * sigma) ** 2, weights=weight)))
     return Alignment(found[:2], float(found[2]), np.sqrt(np.diag(cov)), rms_px, len(matches))

@@ -17,6 +17,7 @@ from fgloc.timing import NS_PER_S
 
 NODE = Node("small", np.array([5.0, -3.0, 10.0]), 0.3)
 CARS, PERSON = (1, 2), 3
+CAR_SIZE_M = (4.3, 1.8, 1.45)
 
 
 def small_node(node: Node = NODE, height_m: float = 10.0, ahead_rad: float = 0.0):
@@ -38,9 +39,10 @@ def small_recording(duration_s: float = 3.0, hz: int = 10, seed: int = 0) -> Rec
         return Mover(number, kind, span_ns, p_m, np.full(2, yaw), **more)
 
     movers = (
-        mover(CARS[0], VEHICLE, (20, 2.0), (120, 2.0), colour=(40, 40, 220)),
-        mover(CARS[1], VEHICLE, (62, -2.0), (-38, -2.0), colour=(230, 230, 230)),
-        mover(PERSON, PEDESTRIAN, (26, -7.0), (26, 8.0), size_m=PERSON_SIZE_M,
+        mover(CARS[0], VEHICLE, (20, 2.0), (120, 2.0), size_m=CAR_SIZE_M, colour=(40, 40, 220)),
+        mover(CARS[1], VEHICLE, (52, -2.0), (-48, -2.0), size_m=CAR_SIZE_M,
+              colour=(230, 230, 230)),
+        mover(PERSON, PEDESTRIAN, (26, -10.0), (26, 5.0), size_m=PERSON_SIZE_M,
               colour=(20, 160, 60)),
     )  # fmt: skip
     wall = Solids(*straight_solids([(20, 90, 10, 14, 0, 6)], node.ground_m))
