@@ -116,7 +116,7 @@ def test_boxes_of_another_detector_do_as_well(recording):
 
 def test_a_camera_that_is_turned_is_told(recording):
     (head,), camera = recording.node.heads, recording.node.cameras[0]
-    turned = replace(camera, R_node_cam=exp_so3([0, 0, np.deg2rad(3)]) @ camera.R_node_cam)
+    turned = replace(camera, R_node_cam=exp_so3([0, 0, np.deg2rad(2.2)]) @ camera.R_node_cam)
     node = PerceptionNode(NODE, (Head("head", (turned,), head.lidar),), 10.0)
     _, found = api.perceive(replace(recording, node=node), **FINE)
     assert any("mount" in remark for remark in found.remarks)
@@ -133,17 +133,17 @@ def test_a_clock_that_is_off_is_told(recording):
 def test_frames_that_are_lost_or_damaged_are_counted(folder, tmp_path, recording):
     broken = tmp_path / "broken"
     shutil.copytree(folder, broken)
-    images = sorted((broken / "camera").glob("*.jpg"))
+    images = sorted((broken / "head-camera").glob("*.jpg"))
     images[3].unlink()
     images[5].write_bytes(images[5].read_bytes()[:500])
-    np.savez(sorted((broken / "lidar").glob("*.npz"))[7], points_m=np.zeros((0, 3)))
-    lines = (broken / "lidar" / "frames.csv").read_text().splitlines()
-    (broken / "lidar" / "frames.csv").write_text("\n".join(lines[:15] + lines[17:]) + "\n")
+    np.savez(sorted((broken / "head-lidar").glob("*.npz"))[7], points_m=np.zeros((0, 3)))
+    lines = (broken / "head-lidar" / "frames.csv").read_text().splitlines()
+    (broken / "head-lidar" / "frames.csv").write_text("\n".join(lines[:15] + lines[17:]) + "\n")
     drive, found = api.perceive(broken, **FINE)
-    assert found.dropped["camera: frames that cannot be read"] == 2
+    assert found.dropped["head-camera: frames that cannot be read"] == 2
     assert found.dropped["head: empty clouds"] == 1
     assert any("000003.jpg" in remark for remark in found.remarks)
-    assert any("lidar: 2 of 31 frames are missing" in remark for remark in found.remarks)
+    assert any("head-lidar: 2 of 31 frames are missing" in remark for remark in found.remarks)
     assert "empty clouds (1)" in drive.about.source
     assert all(len(held_against_truth(drive)[number][0]) > 15 for number in CARS)
 
