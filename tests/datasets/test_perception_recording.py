@@ -172,6 +172,18 @@ def test_missing_parts_and_full_folders_are_told(folder, tmp_path):
         read_recording(folder)
 
 
+def test_the_recording_that_the_readme_shows_is_one(tmp_path):
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    shown = next(part for part in readme.split("```toml")[1:] if "[[head]]" in part)
+    (tmp_path / "recording.toml").write_text(shown.split("```")[0])
+    for sensor, file in (("north-camera", "a.png"), ("north-lidar", "a.npz")):
+        (tmp_path / sensor).mkdir()
+        (tmp_path / sensor / "frames.csv").write_text(f"t_ns,file\n1000,{file}\n")
+    read = read_recording(tmp_path)
+    assert [head.name for head in read.node.heads] == ["north"]
+    assert read.clouds[0].t_ns.tolist() == [1000]
+
+
 def test_frames_and_sensors_must_be_the_same():
     one = small()
     with pytest.raises(DriveError, match="frames and sensors are not the same"):
