@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from fgloc.datasets.perception_recording import (
     is_recording_folder,
@@ -138,6 +140,18 @@ def test_each_fault_is_told_with_its_place(folder, file, old, new, message):
     with pytest.raises(DriveError, match=message) as told:
         read_recording(folder)
     assert file in str(told.value)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@given(text=st.text(st.sampled_from("t_ns,file\n\r\"0129.pngé\0\ufeff/-"), max_size=60),
+       header=st.booleans())  # fmt: skip
+def test_whatever_a_list_of_frames_holds_it_is_read_or_told(folder, text, header):
+    path = folder / "left-camera/frames.csv"
+    path.write_text(("t_ns,file\n" if header else "") + text, encoding="utf-8", newline="")
+    try:
+        assert len(read_recording(folder).images[0])
+    except DriveError as err:
+        assert "frames.csv" in str(err) or "boxes" in str(err)
 
 
 def test_a_frame_that_is_missing_or_damaged_is_told_when_it_is_asked_for(folder):
