@@ -10,6 +10,7 @@ Frames are loaded one by one, as they are asked for: a file that is missing or d
 """
 
 import csv
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePath
@@ -122,7 +123,10 @@ def _frames(
 def _frame_rows(path: Path, suffixes: tuple[str, ...]) -> tuple[Instants, Instants, list[str]]:
     """Stamps and names of the files of a `frames.csv`."""
     text = read_bytes(path, "; a line with column names is needed").decode("utf-8-sig", "replace")
-    header, *rows = csv.reader(text.splitlines())
+    try:
+        header, *rows = list(csv.reader(text.splitlines())) or [[]]
+    except csv.Error as err:
+        raise DriveError(f"{path}: is no CSV file: {err}") from err
     _check_header(path, header)
     if not rows:
         raise DriveError(f"{path}: lists no frames (a header, no rows)")
@@ -152,7 +156,8 @@ def _check_header(path: Path, header: list[str]) -> None:
 
 def _file(where: str, name: str, suffixes: tuple[str, ...]) -> str:
     """The name of a file beside the list; one that leads elsewhere is refused."""
-    if not name or PurePath(name).is_absolute() or ".." in PurePath(name).parts:
+    within = name.isprintable() and not PurePath(name).is_absolute()
+    if not name or not within or ".." in PurePath(name).parts:
         raise DriveError(f"{where}: file = {name!r}: expected the name of a file in this folder")
     if PurePath(name).suffix.lower() not in suffixes:
         raise DriveError(f"{where}: file = {name!r}: expected one of {', '.join(suffixes)}")
@@ -160,14 +165,9 @@ def _file(where: str, name: str, suffixes: tuple[str, ...]) -> str:
 
 
 def _stamp(where: str, name: str, cell: str) -> int:
-    try:
-        if not -(2**63) <= int(cell) < 2**63:
-            raise ValueError
-        return int(cell)
-    except ValueError as err:
-        raise DriveError(
-            f"{where}: {name} = {cell!r} is not a whole number of nanoseconds"
-        ) from err
+    if not re.fullmatch(r"\s*[+-]?[0-9]{1,19}\s*", cell, re.ASCII) or abs(int(cell)) >= 2**63:
+        raise DriveError(f"{where}: {name} = {cell!r} is not a whole number of nanoseconds")
+    return int(cell)
 
 
 def write_recording(

@@ -21,6 +21,7 @@ from fgloc.perception.lidar_shadows import shadowed
 FEW, LOW, LONG = "few points", "low", "long"
 CUT, HIDDEN = "cut off by the edge of the view", "partly hidden by something nearer"
 """Why clusters are left out."""
+GROUND_REACH_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,15 @@ class LidarDetector:
     ) -> "LidarDetector":  # fmt: skip
         """The detector of a head, its background from clouds (M, 3) in the node's axes.
 
-        Raises InputError where the head has no LiDAR, or fewer than two clouds hold points.
+        Raises InputError where the head has no LiDAR, fewer than two clouds hold points, or the
+        ground that they show is not where the survey has it.
         """
         lidar = node.heads[head].lidar
         if lidar is None:
             raise InputError(f"head {node.heads[head].name!r} has no LiDAR")
         config = config or LidarConfig()
+        clouds = list(clouds)
+        _check_ground(lidar.name, clouds, node.ground_m, config.least_ground_share)
         level = (levelled(cloud, node.ground_m) for cloud in clouds)
         background = VoxelBackground.learn(level, node.ground_m, config)
         return cls(head, lidar, background, config)
@@ -136,3 +140,16 @@ class LidarDetector:
         if float(np.linalg.norm(np.ptp(part[:, :2], axis=0))) > self.config.most_length_m:
             return LONG
         return CUT if self.lidar.at_edge(part).any() else ""
+
+
+def _check_ground(name: str, clouds: list[Array], ground_m: float, least_share: float) -> None:
+    """Raise InputError where hardly a point lies on the ground of the survey: a mount in other axes
+    or a wrong height shows so, and would hide every object."""
+    near = [np.abs(cloud[:, 2] - ground_m) < GROUND_REACH_M for cloud in clouds if len(cloud)]
+    share = float(np.concatenate(near).mean()) if near else 1.0
+    if share < least_share:
+        raise InputError(
+            f"LiDAR {name!r}: {share:.1%} of its points lie within {GROUND_REACH_M:g} m of the "
+            f"ground, {-ground_m:g} m below the node; check the node's height_m and R_node_lidar "
+            "(x ahead, y left, z up, to the node's axes)"
+        )

@@ -12,6 +12,9 @@ class LidarConfig(Section):
     """Side of the background's voxels: ten sigmas of a range, less than a lane's margin."""
     learn_frames: int = Field(default=50, ge=2, le=5000)
     """Frames over the whole recording that the background is learnt from beforehand."""
+    least_ground_share: float = Field(default=0.05, ge=0, le=1)
+    """Of all points, that lie on the ground of the survey; where they are fewer the mount is taken
+    for wrong."""
     least_share: float = Field(default=0.3, gt=0, le=1)
     """A voxel with points in this share of these frames is background: more than passing cars fill,
     less than a wall whose points change between two voxels. What stands longer is background."""

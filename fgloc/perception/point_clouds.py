@@ -3,6 +3,7 @@
 import ctypes
 import re
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,10 @@ from fgloc.measurements import Array
 CLOUD_SUFFIXES = (".npz", ".pcd", ".ply")
 POINTS = "points"
 """Name of the array in an NPZ file."""
+_DAMAGED = (
+    OSError, ValueError, EOFError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error
+)  # fmt: skip
+"""What numpy and zipfile raise where bytes of an NPZ file are not what they were."""
 _HEADER_BYTES = 4096
 _NO_POINTS = re.compile(rb"^(POINTS|element vertex) 0\s*$", re.MULTILINE)
 
@@ -72,7 +77,7 @@ def _read_npz(path: Path) -> Array:
             f"{path}: holds the arrays {', '.join(names) or '(none)'}; name the one of the points "
             f"{POINTS!r}"
         ) from err
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as err:
+    except _DAMAGED as err:
         raise DriveError(f"{path}: is no NPZ file or is damaged: {err}; copy it again") from err
     if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "fiu":
         raise DriveError(

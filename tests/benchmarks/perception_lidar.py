@@ -3,13 +3,13 @@
 
     python tests/benchmarks/perception_lidar.py [--seeds 10] [--sway 0.05]
 
-Every third frame of `street` at 10 Hz, 20 s a seed, the right-hand head of Lee's node 10 m above the
-ground; the background is learnt from 50 frames of the same 20 s. A road user counts as found where
-a cuboid's centre is within 3 m of a car's, 1.5 m of a person's. Errors are along and across the line
-of sight: mean and standard deviation of the found ones, NEES by its dimension. Beside them what
-Lee et al. (2021), (19), and sigma across would say, and a_n d^2 of Khamooshi (2023), (3.16), fitted
-to these errors. Then the constants of the law of `cuboid_fit` as these errors give them, and what
-one core does in a second.
+Every third frame of `street` at 10 Hz, 20 s a seed, the right-hand head of Lee's node 10 m above
+the ground; the background is learnt from 50 frames of the same 20 s. A road user counts as found
+where a cuboid's centre is within 3 m of a car's, 1.5 m of a person's. Errors are along and across
+the line of sight: mean and standard deviation of the found ones, NEES by its dimension. Beside them
+what Lee et al. (2021), (19), and sigma across would say, and the sigma of a_n d^2, Khamooshi (2023)
+(3.16), fitted to these errors. Then the constants of the law of `cuboid_fit` as these errors give
+them, and processor time.
 """
 
 import argparse
@@ -26,6 +26,8 @@ from fgloc.perception.lidar_detector import LidarDetector
 from fgloc.perception.ray_cast import scan
 
 HEAD, EVERY, DURATION_S = 1, 3, 20.0
+FIRST_SEED = 100
+"""The constants of `cuboid_fit` were fitted to seeds 0 to 7."""
 NEAR_M = {VEHICLE: 3.0, PEDESTRIAN: 1.5}
 BINS_M = range(10, 81, 10)
 STAGES = ("background and ground", "clusters", "cuboids")
@@ -48,7 +50,7 @@ def main() -> None:
     parser.add_argument("--sway", type=float, default=0.0, help="amplitude of the node's tip in m")
     given = parser.parse_args()
     sums = Sums()
-    for seed in range(given.seeds):
+    for seed in range(FIRST_SEED, FIRST_SEED + given.seeds):
         one_street(seed, given.sway, sums)
     rows = np.array(sums.rows)
     for kind, name in ((VEHICLE, "cars"), (PEDESTRIAN, "persons")):
@@ -65,9 +67,9 @@ def one_street(seed: int, sway_m: float, sums: Sums) -> None:
     )
     t_ns, lidar = recording.clouds[HEAD].t_ns, recording.node.heads[HEAD].lidar
     learn = [recording.cloud(HEAD, k) for k in range(0, len(t_ns), len(t_ns) // 50)]
-    began = time.perf_counter()
+    began = time.process_time()
     detector = LidarDetector.learn(recording.node, HEAD, learn)
-    sums.learn_s.append(time.perf_counter() - began)
+    sums.learn_s.append(time.process_time() - began)
     for frame in range(1, len(t_ns), EVERY):
         sweep = scan(street, lidar, int(t_ns[frame]), np.random.default_rng([seed, frame]))
         cloud = lidar.to_node(sweep.points_m)
@@ -76,13 +78,13 @@ def one_street(seed: int, sway_m: float, sums: Sums) -> None:
 
 
 def timed(detector, cloud, frame, sums):
-    marks = [time.perf_counter()]
+    marks = [time.process_time()]
     points = detector.foreground(cloud)
-    marks.append(time.perf_counter())
+    marks.append(time.process_time())
     labels = detector.clusters(points)
-    marks.append(time.perf_counter())
+    marks.append(time.process_time())
     cuboids = detector.fit(points, labels, cloud, frame).cuboids
-    marks.append(time.perf_counter())
+    marks.append(time.process_time())
     if sums.frames:  # the first brings in Open3D
         sums.seconds += np.diff(marks)
     sums.frames += 1
@@ -124,7 +126,8 @@ def table(name: str, rows: np.ndarray) -> None:
             continue
         errors = "  ".join(f"{seen[:, c].mean():7.3f} ({seen[:, c].std():.3f})" for c in (4, 5))
         scaled = " ".join(f"{np.sqrt(a) * middle:.3f}" for a in a_n)
-        print(f"{middle:5d} m  {len(part):5d}   {part[:, 3].mean():.2f}        {hit[:, 3].mean():.2f}"
+        rates = f"{part[:, 3].mean():.2f}        {hit[:, 3].mean():.2f}"
+        print(f"{middle:5d} m  {len(part):5d}   {rates}"
               f"  {np.median(seen[:, 7]):6.0f}  {errors}  {seen[:, 6].mean():6.2f}  "
               f"{lee2021_sigma_m(middle, 0.0):6.3f} / {LEE2021_ACROSS_M:g}   {scaled}")  # fmt: skip
 

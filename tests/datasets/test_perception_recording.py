@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from fgloc.datasets.perception_recording import (
     is_recording_folder,
@@ -140,6 +142,18 @@ def test_each_fault_is_told_with_its_place(folder, file, old, new, message):
     assert file in str(told.value)
 
 
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@given(text=st.text(st.sampled_from("t_ns,file\n\r\"0129.pngé\0\ufeff/-"), max_size=60),
+       header=st.booleans())  # fmt: skip
+def test_whatever_a_list_of_frames_holds_it_is_read_or_told(folder, text, header):
+    path = folder / "left-camera/frames.csv"
+    path.write_text(("t_ns,file\n" if header else "") + text, encoding="utf-8", newline="")
+    try:
+        assert len(read_recording(folder).images[0])
+    except DriveError as err:
+        assert "frames.csv" in str(err) or "boxes" in str(err)
+
+
 def test_a_frame_that_is_missing_or_damaged_is_told_when_it_is_asked_for(folder):
     (folder / "left-camera/000001.png").unlink()
     (folder / "left-lidar/000002.npz").write_bytes(b"no")
@@ -170,6 +184,18 @@ def test_missing_parts_and_full_folders_are_told(folder, tmp_path):
     (folder / "left-camera/frames.csv").unlink()
     with pytest.raises(DriveError, match=r"left-camera/frames\.csv: no such file"):
         read_recording(folder)
+
+
+def test_the_recording_that_the_readme_shows_is_one(tmp_path):
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    shown = next(part for part in readme.split("```toml")[1:] if "[[head]]" in part)
+    (tmp_path / "recording.toml").write_text(shown.split("```")[0])
+    for sensor, file in (("north-camera", "a.png"), ("north-lidar", "a.npz")):
+        (tmp_path / sensor).mkdir()
+        (tmp_path / sensor / "frames.csv").write_text(f"t_ns,file\n1000,{file}\n")
+    read = read_recording(tmp_path)
+    assert [head.name for head in read.node.heads] == ["north"]
+    assert read.clouds[0].t_ns.tolist() == [1000]
 
 
 def test_frames_and_sensors_must_be_the_same():

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from fgloc.errors import DriveError, InputError
 from fgloc.perception.image_files import read_image, write_image
@@ -59,6 +61,21 @@ def test_a_damaged_cloud_is_told_with_its_file(tmp_path, name, raw, message):
         read_cloud(path)
 
 
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=80)
+@given(changes=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=4))
+def test_wherever_an_npz_is_damaged_it_is_told_or_read_whole(tmp_path, changes):
+    path = tmp_path / "a.npz"
+    write_cloud(path, np.arange(150).reshape(50, 3))
+    raw = bytearray(path.read_bytes())
+    for share, value in changes:
+        raw[int(share * (len(raw) - 1))] = value
+    path.write_bytes(raw)
+    try:
+        assert read_cloud(path).shape[1:] == (3,)
+    except DriveError as err:
+        assert str(path) in str(err)
+
+
 def test_an_npz_of_other_things_is_refused(tmp_path):
     path = tmp_path / "a.npz"
     np.savez(path, x=np.zeros(3), y=np.zeros(3))
@@ -109,6 +126,16 @@ def test_half_an_image_is_no_image(tmp_path, suffix):
     write_image(path, picture())
     path.write_bytes(path.read_bytes()[:-1100])
     with pytest.raises(DriveError, match=r"the image is cut off after \d+ bytes"):
+        read_image(path)
+
+
+def test_a_png_with_a_wrong_byte_is_no_image(tmp_path):
+    path = tmp_path / "a.png"
+    write_image(path, picture())
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 2] ^= 0xFF
+    path.write_bytes(raw)
+    with pytest.raises(DriveError, match="the image is damaged"):
         read_image(path)
 
 

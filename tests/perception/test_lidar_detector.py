@@ -83,6 +83,16 @@ def test_a_background_needs_two_clouds_with_points():
         LidarDetector.learn(replace(node(), heads=(bare,)), 0, [WALL, WALL])
 
 
+@pytest.mark.parametrize("turn_rad", [[np.pi / 2, 0, 0], [0, 0.35, 0]])
+def test_a_mount_that_puts_the_ground_elsewhere_is_refused(turn_rad):
+    right = node().heads[0].lidar
+    wrong = replace(right, R_node_lidar=exp_so3(turn_rad) @ right.R_node_lidar)
+    mounted = replace(node(), heads=(replace(node().heads[0], lidar=wrong),))
+    clouds = [wrong.to_node(right.to_lidar(cloud)) for cloud in frames(street(walls=WALLS), 2)]
+    with pytest.raises(InputError, match=r"LiDAR 'lidar': \d.*% of its points .* check the node's"):
+        LidarDetector.learn(mounted, 0, clouds)
+
+
 def test_a_tilted_cloud_is_levelled_and_one_without_ground_stays():
     rng = np.random.default_rng(0)
     level = np.column_stack([rng.uniform(-20, 80, (1000, 2)), np.full(1000, GROUND_M)])
