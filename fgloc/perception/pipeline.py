@@ -107,10 +107,10 @@ class Pipeline:
             for frames in sensors if used else ():
                 if frames is not None and (remark := missing(frames)):
                     self.account.remarks.append(remark)
+        self.trackers = self._trackers(map_places)
         with self.account.stage("learning"):
             self.detectors = self._detectors() if self.uses[0] else {}
             self.lidars = self._lidars() if self.uses[1] else {}
-        self.trackers = self._trackers(map_places)
         self.fusion = HeadFusion(config.heads)
         self._boxes_of: dict[int, int] = dict.fromkeys(self.detectors, 0)
 

@@ -10,7 +10,7 @@ from fgloc.datasets.streets import ORIGIN, START_NS
 from fgloc.infrastructure import Node
 from fgloc.measurements import PEDESTRIAN, VEHICLE
 from fgloc.perception.heads import Head, PerceptionNode
-from fgloc.perception.paper_nodes import ASIDE_RAD, SECTOR_RAD, lidar_32, pinhole
+from fgloc.perception.paper_nodes import ASIDE_RAD, FOCAL_PX, SECTOR_RAD, SIZE_PX, lidar_32, pinhole
 from fgloc.perception.recording import Recording
 from fgloc.perception.street import PERSON_SIZE_M, Mover, Solids, Street
 from fgloc.timing import NS_PER_S
@@ -20,9 +20,12 @@ CARS, PERSON = (1, 2), 3
 CAR_SIZE_M = (4.3, 1.8, 1.45)
 
 
-def small_head(name: str, ahead_rad: float, sector_rad: float = np.deg2rad(80)) -> Head:
-    """A camera of 480 x 300 px, 80 deg across, and a LiDAR with half the directions."""
-    camera = pinhole(f"{name}-camera", ahead_rad, size_px=(480, 300), focal_px=286.0)
+def small_head(
+    name: str, ahead_rad: float, sector_rad: float = np.deg2rad(80), shrink: int = 2
+) -> Head:
+    """The papers' camera with smaller images, and a LiDAR with half the directions."""
+    size_px = SIZE_PX[0] // shrink, SIZE_PX[1] // shrink
+    camera = pinhole(f"{name}-camera", ahead_rad, size_px=size_px, focal_px=FOCAL_PX / shrink)
     lidar = lidar_32(f"{name}-lidar", ahead_rad, sector_rad)
     return Head(name, (camera,), replace(lidar, step_rad=np.deg2rad([0.4, 1.0])))
 
@@ -35,11 +38,11 @@ def small_node() -> PerceptionNode:
 def two_small_heads(node: Node, height_m: float, ahead_rad: float) -> PerceptionNode:
     """Lee's node with small heads."""
     aside = (("left", ASIDE_RAD), ("right", -ASIDE_RAD))
-    heads = tuple(small_head(name, ahead_rad + turn, SECTOR_RAD) for name, turn in aside)
+    heads = tuple(small_head(name, ahead_rad + turn, SECTOR_RAD, 4) for name, turn in aside)
     return PerceptionNode(node, heads, height_m)
 
 
-def small_recording(duration_s: float = 3.0, hz: int = 10, seed: int = 0) -> Recording:
+def small_recording(duration_s: float = 3.0, hz: int = 8, seed: int = 0) -> Recording:
     """A recording of it; the truth's numbers are `CARS` and `PERSON`."""
     node = small_node()
     span_ns = np.array([START_NS, START_NS + 10 * NS_PER_S])

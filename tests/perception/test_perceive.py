@@ -14,11 +14,10 @@ from fgloc.datasets.perception_recording import read_recording, write_recording
 from fgloc.errors import ConfigError, InputError
 from fgloc.frames import exp_so3
 from fgloc.measurements import PEDESTRIAN, VEHICLE
+from fgloc.perception.boxes import ImageBoxes
 from fgloc.perception.heads import Head, PerceptionNode
 from fgloc.perception.image_files import read_image
 from fgloc.perception.lidar_detector import LidarDetector
-from fgloc.perception.pipeline import perceive
-from fgloc.perception.settings import PerceiveConfig
 
 from .small_street import CARS, NODE, PERSON, small_recording
 
@@ -75,12 +74,13 @@ def held_against_truth(drive, within_m=1.5):
 @pytest.mark.parametrize("method", ["fused", "lidar", "camera"])
 def test_all_road_users_are_found_where_they_are(recording, method):
     drive, found = api.perceive(recording, method=method, **FINE)
-    told = held_against_truth(drive)
+    told = held_against_truth(drive, within_m=2.5 if method == "camera" else 1.5)
     frames = len(recording.images[0])
     for number in (*CARS, PERSON):
         error, nees, ids, kind = told[number]
         assert len(error) > 0.6 * frames
-        assert np.sqrt((error**2).mean()) < (0.5 if method == "camera" else 0.25)
+        # A pixel of these images is 0.4 m of the ground at 50 m, along the ray.
+        assert np.sqrt((error**2).mean()) < (1.0 if method == "camera" else 0.25)
         assert np.mean(nees) / 2 < 4
         assert len(set(ids.tolist())) == 1
         if method != "lidar":
@@ -104,30 +104,33 @@ def test_what_is_tracked_is_smoother_than_what_is_measured(recording):
 
 def test_boxes_of_another_detector_do_as_well(recording):
     boxes = []
-    perceive(recording, PerceiveConfig(method="camera"),
-             show=lambda done, of, seen: boxes.append(seen.boxes[0]))  # fmt: skip
+    drive, _ = api.perceive(
+        recording, method="camera", show=lambda done, of, seen: boxes.append(seen.boxes[0])
+    )
     with pytest.raises(InputError, match=r"has no boxes\.csv"):
         api.perceive(recording, detector="table")
-    table = replace(recording, boxes=type(boxes[0]).concat(boxes))
-    own = api.perceive(recording, method="camera")[0].tables["detections"]
-    of_table = api.perceive(table, method="camera", detector="table")[0].tables["detections"]
-    assert own.same_as(of_table)
+    table = replace(recording, boxes=ImageBoxes.concat(boxes))
+    of_table, _ = api.perceive(table, method="camera", detector="table")
+    assert drive.tables["detections"].same_as(of_table.tables["detections"])
 
 
-def test_a_camera_that_is_turned_is_told(recording):
+@pytest.mark.parametrize(
+    ("turn_deg", "says"), [(1.2, "px right of"), (20, "boxes lie on an object that the LiDAR")]
+)
+def test_a_camera_that_is_turned_is_told(recording, turn_deg, says):
     (head,), camera = recording.node.heads, recording.node.cameras[0]
-    turned = replace(camera, R_node_cam=exp_so3([0, 0, np.deg2rad(2.2)]) @ camera.R_node_cam)
+    turned = replace(camera, R_node_cam=exp_so3([0, 0, np.deg2rad(turn_deg)]) @ camera.R_node_cam)
     node = PerceptionNode(NODE, (Head("head", (turned,), head.lidar),), 10.0)
     _, found = api.perceive(replace(recording, node=node), **FINE)
-    assert any("mount" in remark for remark in found.remarks)
+    assert any(says in remark and "mount" in remark for remark in found.remarks)
 
 
 def test_a_clock_that_is_off_is_told(recording):
     images = recording.images[0]
-    late = replace(images, t_ns=images.t_ns + 200_000_000)
+    late = replace(images, t_ns=images.t_ns + 250_000_000)
     _, found = api.perceive(replace(recording, images=(late,)), **FINE)
     told = next(remark for remark in found.remarks if "clock_ahead_s" in remark)
-    assert 0.1 < float(told.split("stamps are ")[1].split(" s")[0]) < 0.3
+    assert 0.15 < float(told.split("stamps are ")[1].split(" s")[0]) < 0.35
 
 
 def test_frames_that_are_lost_or_damaged_are_counted(folder, tmp_path, recording):
@@ -143,9 +146,9 @@ def test_frames_that_are_lost_or_damaged_are_counted(folder, tmp_path, recording
     assert found.dropped["head-camera: frames that cannot be read"] == 2
     assert found.dropped["head: empty clouds"] == 1
     assert any("000003.jpg" in remark for remark in found.remarks)
-    assert any("head-lidar: 2 of 31 frames are missing" in remark for remark in found.remarks)
+    assert any("head-lidar: 2 of 25 frames are missing" in remark for remark in found.remarks)
     assert "empty clouds (1)" in drive.about.source
-    assert all(len(held_against_truth(drive)[number][0]) > 15 for number in CARS)
+    assert all(len(held_against_truth(drive)[number][0]) > 12 for number in CARS)
 
 
 def test_the_command_writes_a_drive_and_pictures(folder, tmp_path, capsys):
@@ -199,7 +202,7 @@ def test_a_folder_that_is_no_recording_is_refused(tmp_path, capsys):
 def test_where_nothing_moves_nothing_is_claimed(recording):
     image = recording.image(0, 0)
     still = replace(recording.images[0], load=lambda k: image)
-    with pytest.raises(InputError, match="no object was seen in 31 frames"):
+    with pytest.raises(InputError, match="no object was seen in 25 frames"):
         api.perceive(replace(recording, images=(still,)), method="camera")
 
 
