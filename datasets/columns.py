@@ -16,7 +16,9 @@ from fgloc.errors import DriveError, nearest
 Columns = dict[str, NDArray[Any]]
 """Columns of one table by name, all of one length: int64 where `is_integer` says so."""
 
-WHOLE = frozenset({"node", "object_id", "kind", "track_id", "sign", "anchor", "run", "user_id"})
+WHOLE = frozenset({
+    "node", "object_id", "kind", "track_id", "sign", "anchor", "run", "user_id", "frame", "camera",
+})  # fmt: skip
 """Columns of whole numbers that are no instants."""
 
 

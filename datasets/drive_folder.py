@@ -167,7 +167,7 @@ def write_drive(
     folder = Path(folder)
     suffix = ".parquet" if parquet else ".csv"
     contents = _contents(drive)
-    _check_free(folder, overwrite)
+    check_free(folder, overwrite)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _remove_drive(folder)
@@ -199,7 +199,9 @@ def _contents(drive: Drive) -> dict[str, Columns]:
     return contents
 
 
-def _check_free(folder: Path, overwrite: bool) -> None:
+def check_free(folder: Path, overwrite: bool) -> None:
+    """Raise DriveError where no drive can or should be written: a file, foreign files, a drive
+    that is not to be replaced."""
     if folder.exists() and not folder.is_dir():
         raise DriveError(f"{folder}: is a file; a drive is a folder")
     if not folder.exists() or not any(folder.iterdir()):

@@ -18,6 +18,9 @@ from fgloc.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from fgloc.diagnosis.finding import Finding
+    from fgloc.perception.pipeline import Perceived, Seen
+    from fgloc.perception.recording import Recording
+    from fgloc.perception.settings import PerceiveConfig
     from fgloc.tuning.result import Tuning
 
 DriveLike = Drive | str | Path
@@ -45,6 +48,40 @@ def make(scenario: str, /, *, seed: int = 0, **options: Any) -> Drive:
     from fgloc.datasets import make as make_scenario
 
     return make_scenario(scenario, seed, **options)
+
+
+def perceive(
+    recording: "Recording | str | Path",
+    *,
+    config: "str | Path | PerceiveConfig | None" = None,
+    settings: Iterable[str] = (),
+    show: "Callable[[int, int, Seen], None]" = lambda done, of, seen: None,
+    **overrides: Any,
+) -> "tuple[Drive, Perceived]":
+    """What a node makes of a recording of its sensors: a drive with its detections, and what was
+    dropped on the way.
+
+    recording  a recording, or its folder
+    config     a TOML file or a `PerceiveConfig`; settings as text and overrides are laid over it
+    show       is told, after each frame, how many of how many are done, and what was seen
+
+    Raises InputError for anything wrong in these, or where no object was seen; DriveError where the
+    folder is faulty.
+    """
+    from fgloc.config import load_model
+    from fgloc.datasets.perceived_drive import drive_of, map_of
+    from fgloc.datasets.perception_recording import read_recording
+    from fgloc.perception.pipeline import perceive as run
+    from fgloc.perception.recording import Recording
+    from fgloc.perception.settings import PerceiveConfig
+
+    base = config if isinstance(config, PerceiveConfig) else None
+    path = None if base is not None or config is None else Path(str(config))
+    in_force = load_model(PerceiveConfig, path, settings, base, overrides)
+    opened = recording if isinstance(recording, Recording) else read_recording(recording)
+    by_map = in_force.place.point == "idw" and in_force.place.idw_file
+    found = run(opened, in_force, map_of(opened, by_map) if by_map else None, show)
+    return drive_of(opened, found), found
 
 
 def smooth(

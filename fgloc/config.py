@@ -267,6 +267,14 @@ def load_config(
     Raises ConfigError that names every unknown key (with the nearest valid one) and every value
     that does not fit, each with the place it came from.
     """
+    return load_model(SmoothConfig, path, settings, base, overrides)
+
+
+def load_model(
+    model: type[M], path: Path | None, settings: Iterable[str], base: M | None = None,
+    overrides: Mapping[str, Any] | None = None,
+) -> M:  # fmt: skip
+    """As `load_config`, of any model."""
     values: dict[str, Any] = base.model_dump() if base else {}
     where = "configuration"
     if path is not None:
@@ -282,10 +290,10 @@ def load_config(
             keys.append("batch")
         values = merge(values, _nested(keys, parse_value(text.strip())))
         places[".".join(keys)] = "--set"
-    given = {key: value for key, value in overrides.items() if value is not None}
+    given = {key: value for key, value in (overrides or {}).items() if value is not None}
     values = merge(values, given)
     places |= dict.fromkeys(given, "configuration")
-    return validate(SmoothConfig, values, where, places)
+    return validate(model, values, where, places)
 
 
 def validate(

@@ -24,7 +24,7 @@ from fgloc.verdicts import SourceVerdicts, Verdict
 
 COMMANDS = (
     "datasets", "make", "import", "doctor", "degrade", "smooth", "baseline", "compare", "eval",
-    "explain", "tune", "correspond",
+    "explain", "tune", "correspond", "perceive",
 )  # fmt: skip
 METRICS = {
     "horizontal_rmse_m", "horizontal_mean_m", "horizontal_std_m", "horizontal_p95_m",

@@ -15,6 +15,7 @@ from fgloc.cli.comparing import compare
 from fgloc.cli.doctor import doctor
 from fgloc.cli.drives import datasets, degrade, import_drive, make
 from fgloc.cli.matching import correspond
+from fgloc.cli.perceiving import perceive
 from fgloc.cli.results import evaluate, explain
 from fgloc.cli.runs import baseline, smooth
 from fgloc.cli.tuning import tune
@@ -58,7 +59,7 @@ def cli() -> None:
 
 for _command in (
     datasets, make, import_drive, doctor, degrade, tune, smooth, baseline, compare, evaluate,
-    explain, correspond,
+    explain, correspond, perceive,
 ):  # fmt: skip
     cli.add_command(_command)
 

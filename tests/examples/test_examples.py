@@ -12,6 +12,7 @@ import pytest
 
 import fgloc
 from fgloc.datasets.drive_folder import write_drive
+from fgloc.datasets.perception_recording import read_recording
 from fgloc.evaluation import errors
 from fgloc.outputs import read_result_trajectory
 
@@ -94,3 +95,12 @@ def test_online_looks_at_nothing_that_has_not_arrived(drive):
         for of in (played, played.with_tables(gnss=wild))
     )
     assert first.same_as(second)
+
+
+def test_a_simulated_street_becomes_a_recording(tmp_path):
+    said = shell("simulated_street.py", tmp_path / "street", "--seconds", 0.1, "--sway", 0.05)
+    assert said == [f"2 frames of each sensor in {tmp_path / 'street'}"]
+    made = read_recording(tmp_path / "street")
+    assert made.image(1, 1).shape == (1200, 1920, 3)
+    assert len(made.cloud(0, 1)) > 10_000
+    assert len(made.objects)

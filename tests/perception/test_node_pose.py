@@ -1,6 +1,5 @@
 """Poses of a swaying node: exact where input is exact, and covariances that noise confirms."""
 
-import importlib.util
 import sys
 from pathlib import Path
 
@@ -26,12 +25,6 @@ RNG = np.random.default_rng(0)
 CORNERS = np.column_stack([RNG.uniform(25, 60, 24), RNG.uniform(-20, 20, 24),
                            RNG.uniform(0, 14, 24)]) + [10.0, 5.0, 0.0]  # fmt: skip
 """Edges of buildings, 25 to 60 m to the East of the node."""
-
-
-def needs_open3d() -> None:
-    """Skip where the extra is not installed; that it loads is for fgloc to see to."""
-    if importlib.util.find_spec("open3d") is None:
-        pytest.skip("the extra 'lidar' is not installed")
 
 
 def camera(moved_m=(0.0, 0.0, 0.0), turned_rad=(0.0, 0.0, 0.0)) -> SensorPose:
@@ -109,7 +102,6 @@ def lidar(moved_m=(0.0, 0.0, 0.0), turned_rad=(0.0, 0.0, 0.0)) -> SensorPose:
 
 
 def test_noise_of_ranges_confirms_the_covariance_of_icp():
-    needs_open3d()
     rng, true = np.random.default_rng(2), lidar((0.1, -0.15, 0.0), (0.02, 0.014, 0.0))
     errors, covs = [], []
     for _ in range(16):
@@ -123,7 +115,6 @@ def test_noise_of_ranges_confirms_the_covariance_of_icp():
 def test_two_real_scans_are_matched_to_their_known_pose():
     if not SCANS.exists():
         pytest.skip("data not here")
-    needs_open3d()
     from fgloc.perception.point_clouds import import_open3d
 
     o3d = import_open3d()
@@ -139,7 +130,6 @@ def test_two_real_scans_are_matched_to_their_known_pose():
 
 
 def test_one_wall_or_a_far_cloud_is_refused():
-    needs_open3d()
     rng = np.random.default_rng(3)
     wall = np.column_stack([np.full(500, 20.0), rng.uniform(-5, 5, (500, 2))])
     with pytest.raises(InputError, match="leave the pose open"):
