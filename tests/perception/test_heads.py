@@ -12,7 +12,7 @@ from fgloc.infrastructure import Node
 from fgloc.perception.heads import Camera, Head, PerceptionNode
 from fgloc.perception.paper_nodes import khamooshi2023_node, lee2021_node, mount, pinhole
 
-from .small_street import camera, lidar, node
+from .standing_street import camera, lidar, node
 
 LEVEL = Camera("level", (200, 100), np.array([100.0, 50.0]), np.array([99.5, 49.5]),
                np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.array([0.0, 0, 2]))  # fmt: skip

@@ -18,7 +18,7 @@ from fgloc.perception.lidar_settings import LidarConfig
 from fgloc.perception.ray_cast import scan
 from fgloc.perception.street import PERSON_SIZE_M, Sway
 
-from .small_street import driving, lidar, node, standing, street
+from .standing_street import driving, lidar, node, standing, street
 
 GROUND_M = -10.0
 SENSOR_M = np.array([0.0, 0, 0])

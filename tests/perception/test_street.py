@@ -11,7 +11,7 @@ from fgloc.perception.ray_cast import GROUND, NOTHING, nearest, scan
 from fgloc.perception.street import Mover, Solids, Sway
 from fgloc.perception.street_images import Painter
 
-from .small_street import driving, lidar, standing, street
+from .standing_street import driving, lidar, standing, street
 
 UP = np.array([0.0, 0, 1])
 AHEAD, DOWN, SKYWARD = [1.0, 0, 0], [0.0, 0, -1], [0.6, 0, 0.8]
