@@ -9,17 +9,19 @@ import pytest
 
 from fgloc import api
 from fgloc.cli import main
+from fgloc.datasets.calibration_set import write_calibration
 from fgloc.datasets.drive_folder import read_drive
 from fgloc.datasets.perception_recording import read_recording, write_recording
 from fgloc.errors import ConfigError, InputError
 from fgloc.frames import exp_so3
 from fgloc.measurements import PEDESTRIAN, VEHICLE
-from fgloc.perception.boxes import ImageBoxes
+from fgloc.perception.boxes import ImageBoxes, upright_corners
 from fgloc.perception.heads import Head, PerceptionNode
+from fgloc.perception.idw import Calibration
 from fgloc.perception.image_files import read_image
 from fgloc.perception.lidar_detector import LidarDetector
 
-from .small_street import CARS, NODE, PERSON, small_recording
+from .small_street import CAR_SIZE_M, CARS, NODE, PERSON, small_recording
 
 FINE = {"background": {"shrink": 1}}
 """The images are small already."""
@@ -112,6 +114,28 @@ def test_boxes_of_another_detector_do_as_well(recording):
     table = replace(recording, boxes=ImageBoxes.concat(boxes))
     of_table, _ = api.perceive(table, method="camera", detector="table")
     assert drive.tables["detections"].same_as(of_table.tables["detections"])
+
+
+@pytest.mark.parametrize("point", ["bottom", "centre", "idw"])
+def test_places_of_boxes_do_in_every_way(recording, tmp_path, point):
+    config = {"point": point, "idw_file": str(tmp_path / "calibration.csv")}
+    if point == "idw":
+        write_calibration(calibration(recording.node.cameras[0]), config["idw_file"])
+    drive, _ = api.perceive(recording, method="camera", place=config, **FINE)
+    error, nees, _, _ = held_against_truth(drive, within_m=3.0)[CARS[0]]
+    assert len(error) > 0.6 * len(recording.images[0])
+    assert np.median(np.hypot(*error.T)) < 1.5
+    assert np.median(nees) < 6
+
+
+def calibration(camera):
+    """Middles of the boxes of cars all over the street, and where the cars are."""
+    x_m, y_m = (axis.ravel() for axis in np.meshgrid(np.arange(18.0, 60), np.arange(-4.0, 4.1)))
+    places = np.column_stack([x_m, y_m])
+    centre_m = np.column_stack([places, np.full(len(places), -NODE.p_world_m[2] + 0.725)])
+    corners_m = upright_corners(centre_m, np.tile(CAR_SIZE_M, (len(places), 1)), 0 * x_m)
+    pixels = camera.project(corners_m.reshape(-1, 3)).reshape(-1, 8, 2)
+    return Calibration((pixels.min(1) + pixels.max(1)) / 2, NODE.to_world(places))
 
 
 @pytest.mark.parametrize(
