@@ -103,10 +103,11 @@ def import_mcity_roadside(
     if odometry:
         tables["odometry"] = told = simulated_odometry(car, seed)
         tables["velocity"] = dead_reckoned(told, float(car.course_rad[0]))
-    objects = None
+    objects, leaps = None, _leaps(t_ns, p_world_m)
     if others:
         users, objects = _others(rtk_path, rtk, vehicle, gps_rate_hz, gps_sigma_m, bias, seed)
         tables["users"] = users
+        leaps += sum(_leaps(*_rows_of(rtk_path, rtk, int(one))) for one in np.unique(users.user_id))
     tables["detections"], outside = _detections(detections_path, seen, car)
     account = left_out(
         {
@@ -116,7 +117,7 @@ def import_mcity_roadside(
     )
     account += (
         f"; frames sorted into place ({seen.turned + rtk.turned}); steps of the RTK above "
-        f"{FASTEST_MPS:g} m/s, kept ({_leaps(car)})"
+        f"{FASTEST_MPS:g} m/s, kept ({leaps})"
     )
     rig = Rig(p_veh_box_m=np.array(P_VEH_BOX_M), gnss_bias=bias, user_bias=bias if others else None)
     about = _about(f"trial {trial}, vehicle {vehicle}", f"seed {seed}", account)
@@ -246,10 +247,10 @@ def _detections(path: Path, seen: Sightings, car: Ride) -> tuple[NodeDetections,
     return table, int((~inside).sum())
 
 
-def _leaps(car: Ride) -> int:
+def _leaps(t_ns: Instants, p_world_m: Array) -> int:
     """Steps between rows that no car takes: there the RTK was lost for a moment."""
-    step_m = np.linalg.norm(np.diff(car.p_world_m, axis=0), axis=1)
-    return int((step_m > FASTEST_MPS * np.diff(elapsed_s(car.t_ns, int(car.t_ns[0])))).sum())
+    step_m = np.linalg.norm(np.diff(p_world_m, axis=0), axis=1)
+    return int((step_m > FASTEST_MPS * np.diff(elapsed_s(t_ns, int(t_ns[0])))).sum())
 
 
 def _about(what: str, simulated: str, account: str) -> About:
