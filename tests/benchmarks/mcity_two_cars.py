@@ -1,7 +1,7 @@
 # ruff: noqa: T201
 """Two cars that pass the Mcity node in a row, both with GPS: each alone, and both in one graph.
 
-    python tests/benchmarks/mcity_two_cars.py SOURCE [--seeds 20] [--lag-seeds 5]
+    python tests/benchmarks/mcity_two_cars.py SOURCE [--seeds 20] [--slow-seeds 2]
 
 Trial 13: detections and truth are real, the GPS of both cars is simulated from their RTK, anew with
 each seed. Constants of the node are those of trial 2. Prints, for each car, the mean over the seeds
@@ -25,8 +25,9 @@ from fgloc.result import Result
 TRIAL, CARS, FROM_S = 13, (0, 1), 10.0
 NEAR_NS, WRONG_M = 100_000_000, 3.0
 ALONE = ("raw:gnss", "raw:detections", "lee2021-ekf", "graph-batch", "graph-lag")
-TOGETHER = ("khamooshi2023-kcf", "covariance-intersection", "graph-batch", "graph-lag")
-LAG = "graph-lag"
+BARE = ("graph-batch", "graph-lag")
+TOGETHER = ("graph-batch", "graph-lag", "khamooshi2023-kcf", "covariance-intersection")
+SLOW = ("graph-lag", "khamooshi2023-kcf", "covariance-intersection")
 Errors = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -35,13 +36,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("source")
     parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--lag-seeds", type=int, default=5)
+    parser.add_argument("--slow-seeds", type=int, default=2)
     asked = parser.parse_args()
     for car in CARS:
         for name in ALONE:
             show(f"car {car} alone, {name}", [
                 score(alone(drive, name), drive)
-                for drive in drives(asked.source, car, seeds(name, asked), others=False)
+                for drive in drives(asked.source, car, seeds(name, asked))
+            ])  # fmt: skip
+        for name in BARE:
+            show(f"car {car} alone, without odometry, {name}", [
+                score(alone(drive, name), drive)
+                for drive in drives(asked.source, car, seeds(name, asked), odometry=False)
             ])  # fmt: skip
     for name in TOGETHER:
         rows = [both(drive, run(drive, name))
@@ -54,22 +60,22 @@ def main() -> None:
 
 
 def seeds(name: str, asked: argparse.Namespace) -> range:
-    """The fixed lag takes most of a minute a drive, and gets fewer."""
-    return range(asked.lag_seeds if name == LAG else asked.seeds)
+    """What takes a minute a drive gets fewer."""
+    return range(asked.slow_seeds if name in SLOW else asked.seeds)
 
 
-def drives(source: str, car: int, which: range, *, others: bool) -> list[Drive]:
+def drives(source: str, car: int, which: range, **more: bool) -> list[Drive]:
     """The trial as the drive of one car, for each seed."""
     return [
-        import_recording("mcity-roadside", source, trial=TRIAL, vehicle=car, others=others,
-                         odometry=True, seed=seed)
+        import_recording("mcity-roadside", source, trial=TRIAL, vehicle=car, seed=seed,
+                         **{"odometry": True, **more})
         for seed in which
     ]  # fmt: skip
 
 
 def run(drive: Drive, name: str) -> Result:
     """A method's result."""
-    modes = {"graph-batch": "batch", LAG: "fixed-lag"}
+    modes = {"graph-batch": "batch", "graph-lag": "fixed-lag"}
     if name in modes:
         return fgloc.smooth(drive, mode=modes[name])
     return fgloc.baseline(drive, name)
