@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fgloc.cli import main
+from fgloc.correspondence.tracks import track_objects
 from fgloc.datasets import import_recording, open_drive
 from fgloc.datasets.mcity_roadside import (
     LATENCY_S,
@@ -375,3 +376,15 @@ def test_licence_and_origin_lie_beside_the_sample():
     origin = (folder / "ORIGIN.txt").read_text()
     assert "SIMULATED: gnss.csv" in origin
     assert "REAL: detections.csv" in origin
+
+
+def test_of_two_cars_in_a_row_no_detection_is_taken_for_the_other(source):
+    drive = import_mcity_roadside(source, trial=13, others=True)
+    found = track_objects(drive, "test")
+    for track, truth in ((found.ego, drive.truth), (found.users[1], drive.objects)):
+        seen = [(epoch.t_ns, *z) for epoch in found.epochs
+                for z in epoch.z_m[epoch.track == track]]  # fmt: skip
+        t_ns, east_m, north_m = np.array(seen).T
+        off = [np.interp(t_ns, truth.t_ns, axis) for axis in truth.p_world_m.T[:2]]
+        assert len(t_ns) > 400
+        assert np.hypot(east_m - off[0], north_m - off[1]).max() < 3.0
