@@ -74,3 +74,11 @@ def test_a_post_that_was_sought_comes_with_sigmas(drive):
     summary = {"posts": {"isn-1": {"frequency_hz": 1.9}}, "posts_sought": {"isn-1": told}}
     (row,) = node_rows(drive, summary)
     assert (row["frequency_hz"], row["sigma_frequency_hz"]) == (2.0, 0.02)
+
+
+def test_how_late_a_nodes_stamps_are_is_read_of_its_clock(drive):
+    clock = {"gnss": {"late_s": 0.2}, "nodes": {"late_s": 0.08}}
+    (row,) = node_rows(drive, {"clock": clock})
+    assert row["clock_late_s"] == 0.08
+    (row,) = node_rows(drive, {"clock": {"gnss": {"late_s": 0.2}}})
+    assert "clock_late_s" not in row

@@ -148,7 +148,7 @@ class Factor:
     @property
     def log_determinant(self) -> float:
         """Natural logarithm of the determinant of H."""
-        return 2 * float(np.log(self._columns[:, :, 0]).sum())
+        return 2 * float(np.log(self._columns[:, 0]).sum())
 
     def solve(self, right: Array) -> Array:
         """X (n, d, k) of H X = right (n, d, k)."""
