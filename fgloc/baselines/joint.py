@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.correspondence.epochs import Epoch
 from fgloc.correspondence.rigid import rotation
-from fgloc.correspondence.tracks import Epoch
 from fgloc.measurements import Array
 
 ACCEL_DENSITY = 3.0

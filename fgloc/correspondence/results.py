@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.correspondence.tracks import Epochs
+from fgloc.correspondence.epochs import Epochs
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
 from fgloc.frames import yaw_matrix

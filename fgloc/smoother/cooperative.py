@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
+from fgloc.correspondence.epochs import Epochs
 from fgloc.correspondence.results import cooperative_result
 from fgloc.correspondence.rigid import wrapped
-from fgloc.correspondence.tracks import Epochs, track_objects
+from fgloc.correspondence.tracks import track_objects
 from fgloc.drive import Drive
 from fgloc.errors import InputError, SolverError
 from fgloc.infrastructure import Node

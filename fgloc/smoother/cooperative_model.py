@@ -29,8 +29,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from fgloc.correspondence.epochs import Epoch
 from fgloc.correspondence.rigid import rotation
-from fgloc.correspondence.tracks import Epoch
 from fgloc.drive import GnssBias
 from fgloc.infrastructure import Node
 from fgloc.measurements import Array
