@@ -59,7 +59,7 @@ class ImuNoisePart(_Part):
 
 
 class GnssBiasPart(_Part):
-    """[rig.gnss_bias]: the fields of `GnssBias`."""
+    """[rig.gnss_bias] and [rig.user_bias]: the fields of `GnssBias`."""
 
     sigma_m: float = Field(gt=0)
     tau_s: float = Field(gt=0)
@@ -84,6 +84,7 @@ class RigPart(_Part):
     gnss_bias: GnssBiasPart | None = None
     camera: CameraPart | None = None
     p_veh_tag_m: Vector3 = [0.0, 0.0, 0.0]
+    user_bias: GnssBiasPart | None = None
 
 
 class NodePart(_Part):
@@ -172,12 +173,13 @@ def to_rig(path: Path, part: RigPart) -> Rig:
     if not np.array_equal(T_veh_imu[3], [0, 0, 0, 1]):
         raise DriveError(f"{path}: the last row of rig.T_veh_imu must be [0, 0, 0, 1]")
     noise = ImuNoise(**part.imu_noise.model_dump()) if part.imu_noise else None
-    bias = GnssBias(**part.gnss_bias.model_dump()) if part.gnss_bias else None
+    bias, user_bias = (GnssBias(**one.model_dump()) if one else None
+                       for one in (part.gnss_bias, part.user_bias))  # fmt: skip
     camera = Camera(**part.camera.model_dump()) if part.camera else None
     try:
         return Rig(
             np.array(part.p_veh_ant_m), T_veh_imu, noise, np.array(part.p_veh_box_m), bias, camera,
-            np.array(part.p_veh_tag_m),
+            np.array(part.p_veh_tag_m), user_bias,
         )  # fmt: skip
     except InputError as err:
         raise DriveError(f"{path}: {err}") from err
@@ -213,8 +215,9 @@ def format_toml(drive: Drive) -> str:
         rig["p_veh_box_m"] = drive.rig.p_veh_box_m.tolist()
     if drive.rig.imu_noise is not None:
         rig["imu_noise"] = _floats(dataclasses.asdict(drive.rig.imu_noise))
-    if drive.rig.gnss_bias is not None:
-        rig["gnss_bias"] = _floats(dataclasses.asdict(drive.rig.gnss_bias))
+    for name in ("gnss_bias", "user_bias"):
+        if (bias := getattr(drive.rig, name)) is not None:
+            rig[name] = _floats(dataclasses.asdict(bias))
     if drive.rig.camera is not None:
         rig["camera"] = _plain(drive.rig.camera)
     if drive.rig.p_veh_tag_m.any():

@@ -9,6 +9,8 @@ a node says at 10 Hz, and `gts/gps_data_K.json` (or `..._K_c.json`), RTK of one 
   the file's own x and y are a mirrored plane (y to the South) and are not read;
 * gnss, and with `odometry` also odometry and velocity: made from the RTK of the vehicle with
   stated noise, and thus simulated;
+* users, with `others`: fixes of the other vehicle, made likewise from its RTK, as if it broadcast
+  them; and objects: the rows of it that no fix was made from, as its truth;
 * truth: the RTK rows of the vehicle that no fix was made from.
 
 Ids such as '0-cut' are vehicle 0 after the authors cut the lap of the trial in two: its rows follow
@@ -22,13 +24,16 @@ The vehicle frame's origin is the RTK antenna and its x axis the course, see `rt
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.datasets.mcity_json import Sightings, read_sightings, vehicle_of
 from fgloc.datasets.recording import check_sigma, left_out
 from fgloc.datasets.rtk_simulation import (
     Ride,
+    change_rate,
     dead_reckoned,
     every,
     ride,
@@ -39,8 +44,8 @@ from fgloc.drive import About, Drive, GnssBias, Rig
 from fgloc.errors import DriveError, InputError
 from fgloc.frames import Origin
 from fgloc.infrastructure import Infrastructure, Node
-from fgloc.measurements import Array, NodeDetections, Table
-from fgloc.timing import elapsed_s, seconds_to_ns
+from fgloc.measurements import Array, NodeDetections, ObjectTruth, Table, UserFixes
+from fgloc.timing import Instants, elapsed_s, seconds_to_ns
 
 ORIGIN = Origin(42.300947, -83.698649, 240.0)
 """Centre of the authors' local plane (`config.yaml`); the height is rough."""
@@ -65,6 +70,7 @@ FASTEST_MPS = 40.0
 """A longer step between rows of the RTK is no motion of a car."""
 
 _FEWEST = 3
+Columns = tuple[NDArray[Any], ...]
 
 
 def import_mcity_roadside(
@@ -77,6 +83,7 @@ def import_mcity_roadside(
     gps_bias_sigma_m: float = GPS_BIAS_SIGMA_M,
     gps_bias_tau_s: float = GPS_BIAS_TAU_S,
     odometry: bool = False,
+    others: bool = False,
     seed: int = 0,
 ) -> Drive:
     """One trial as the drive of one of its vehicles; the seed is that of the simulated sensors.
@@ -87,27 +94,35 @@ def import_mcity_roadside(
     bias = _checked_bias(gps_rate_hz, gps_sigma_m, gps_bias_sigma_m, gps_bias_tau_s)
     detections_path, rtk_path = _paths(Path(source), trial)
     rtk, seen = read_sightings(rtk_path), read_sightings(detections_path, whole_ids=True)
-    car = _car(rtk_path, rtk, vehicle)
+    t_ns, p_world_m = _rows_of(rtk_path, rtk, vehicle)
+    car = ride(f"{rtk_path}: vehicle {vehicle}", t_ns, p_world_m)
     at_fix = every(car.t_ns, gps_rate_hz)
-    tables: dict[str, Table] = {"gnss": simulated_gps(car, at_fix, gps_sigma_m, bias, seed)}
+    tables: dict[str, Table] = {
+        "gnss": simulated_gps(t_ns[at_fix], p_world_m[at_fix], gps_sigma_m, bias, seed)
+    }
     if odometry:
         tables["odometry"] = told = simulated_odometry(car, seed)
         tables["velocity"] = dead_reckoned(told, float(car.course_rad[0]))
+    objects, leaps = None, _leaps(t_ns, p_world_m)
+    if others:
+        users, objects = _others(rtk_path, rtk, vehicle, gps_rate_hz, gps_sigma_m, bias, seed)
+        tables["users"] = users
+        leaps += sum(_leaps(*_rows_of(rtk_path, rtk, int(one))) for one in np.unique(users.user_id))
     tables["detections"], outside = _detections(detections_path, seen, car)
     account = left_out(
         {
             "detections outside the time of the RTK": outside,
-            "rows of other vehicles in the RTK": len(rtk.stamp_ns) - len(car.t_ns),
+            "rows of other vehicles in the RTK": 0 if others else len(rtk.stamp_ns) - len(t_ns),
         }
     )
     account += (
         f"; frames sorted into place ({seen.turned + rtk.turned}); steps of the RTK above "
-        f"{FASTEST_MPS:g} m/s, kept ({_leaps(car)})"
+        f"{FASTEST_MPS:g} m/s, kept ({leaps})"
     )
-    rig = Rig(p_veh_box_m=np.array(P_VEH_BOX_M), gnss_bias=bias)
+    rig = Rig(p_veh_box_m=np.array(P_VEH_BOX_M), gnss_bias=bias, user_bias=bias if others else None)
     about = _about(f"trial {trial}, vehicle {vehicle}", f"seed {seed}", account)
     nodes = Infrastructure((mcity_node(),))
-    return Drive(f"mcity-{trial}", ORIGIN, rig, tables, car.truth(~at_fix), about, nodes)
+    return Drive(f"mcity-{trial}", ORIGIN, rig, tables, car.truth(~at_fix), about, nodes, objects)
 
 
 def mcity_node() -> Node:
@@ -158,8 +173,8 @@ def _paths(source: Path, trial: int | None) -> tuple[Path, Path]:
     )
 
 
-def _car(path: Path, rtk: Sightings, vehicle: int) -> Ride:
-    """The ride of one vehicle; of rows with one stamp the first."""
+def _rows_of(path: Path, rtk: Sightings, vehicle: int) -> tuple[Instants, Array]:
+    """Instants (N,) and places (N, 3) of one vehicle; of rows with one stamp the first."""
     ids = np.array([vehicle_of(one) for one in rtk.object_id])
     own = np.flatnonzero(ids == str(vehicle))
     if not len(own):
@@ -171,7 +186,41 @@ def _car(path: Path, rtk: Sightings, vehicle: int) -> Ride:
         raise DriveError(
             f"{path}: {len(own)} rows of vehicle {vehicle}; at least {_FEWEST} are needed"
         )
-    return ride(f"{path}: vehicle {vehicle}", rtk.stamp_ns[own], _to_plane(rtk.place_deg[own]))
+    return rtk.stamp_ns[own], _to_plane(rtk.place_deg[own])
+
+
+def _others(
+    path: Path, rtk: Sightings, vehicle: int, rate_hz: float, sigma_m: float,
+    bias: GnssBias | None, seed: int,
+) -> tuple[UserFixes, ObjectTruth]:  # fmt: skip
+    """What the other vehicles say of their places, and where they were at all other rows."""
+    names = sorted({vehicle_of(one) for one in rtk.object_id} - {str(vehicle)})
+    if not names or not all(name.isdecimal() for name in names):
+        raise InputError(
+            f"{path}: others asks for vehicles beside {vehicle} with whole numbers "
+            f"(there are: {', '.join(names) or 'none'}); leave it out"
+        )
+    fixes: list[Columns] = []
+    truths: list[Columns] = []
+    for number in map(int, names):
+        t_ns, p_world_m = _rows_of(path, rtk, number)
+        at_fix = every(t_ns, rate_hz)
+        fix = simulated_gps(
+            t_ns[at_fix], p_world_m[at_fix], sigma_m, bias, seed, f"rtk/vehicle {number}"
+        )
+        who, p_m = np.full(len(t_ns), number), p_world_m[:, :2]
+        fixes.append((fix.t_ns, fix.received_ns, who[at_fix], fix.p_world_ant_m[:, :2],
+                      fix.cov_world_m2[:, :2, :2]))  # fmt: skip
+        columns = (t_ns, t_ns, who, p_m, change_rate(t_ns, p_m))
+        truths.append(tuple(column[~at_fix] for column in columns))
+    return UserFixes(*_by_time(fixes)), ObjectTruth(*_by_time(truths))
+
+
+def _by_time(parts: list[Columns]) -> list[NDArray[Any]]:
+    """The columns of several vehicles as those of one table, the instants first."""
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    order = np.argsort(columns[0], kind="stable")
+    return [column[order] for column in columns]
 
 
 def _to_plane(place_deg: Array) -> Array:
@@ -198,10 +247,10 @@ def _detections(path: Path, seen: Sightings, car: Ride) -> tuple[NodeDetections,
     return table, int((~inside).sum())
 
 
-def _leaps(car: Ride) -> int:
+def _leaps(t_ns: Instants, p_world_m: Array) -> int:
     """Steps between rows that no car takes: there the RTK was lost for a moment."""
-    step_m = np.linalg.norm(np.diff(car.p_world_m, axis=0), axis=1)
-    return int((step_m > FASTEST_MPS * np.diff(elapsed_s(car.t_ns, int(car.t_ns[0])))).sum())
+    step_m = np.linalg.norm(np.diff(p_world_m, axis=0), axis=1)
+    return int((step_m > FASTEST_MPS * np.diff(elapsed_s(t_ns, int(t_ns[0])))).sum())
 
 
 def _about(what: str, simulated: str, account: str) -> About:

@@ -15,8 +15,10 @@ COVARIANCE = tuple(f"cov_{'xyuv'[i]}{'xyuv'[j]}" for i, j in zip(*np.triu_indice
 
 
 def write_tracks(path: Path, tracks: ObjectTracks) -> None:
-    """Write tracks as a table: track_id, t_ns, state, upper triangle of its covariance."""
-    columns: Columns = {"track_id": tracks.track_id, "t_ns": tracks.t_ns}
+    """Write tracks as a table: track_id, user_id, t_ns, state, upper triangle of its covariance."""
+    columns: Columns = {
+        "track_id": tracks.track_id, "user_id": tracks.user_id, "t_ns": tracks.t_ns,
+    }  # fmt: skip
     columns |= unstack(STATE, tracks.state)
     columns |= unstack(COVARIANCE, tracks.cov[:, *np.triu_indices(4)])
     write_table(path, columns)

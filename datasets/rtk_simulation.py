@@ -51,20 +51,26 @@ class Ride:
 
 def ride(where: str, t_ns: Instants, p_world_m: Array) -> Ride:
     """The ride of positions (N, 3) at increasing instants; DriveError where it never moves."""
-    n = len(t_ns)
-    before = np.maximum(np.arange(n) - BASE_ROWS, 0)
-    after = np.minimum(np.arange(n) + BASE_ROWS, n - 1)
-    t_s = elapsed_s(t_ns, int(t_ns[0]))
-    base_s = np.maximum(t_s[after] - t_s[before], 1e-9)
-    east_mps, north_mps = (p_world_m[after] - p_world_m[before])[:, :2].T / base_s
+    east_mps, north_mps = change_rate(t_ns, p_world_m[:, :2]).T
     speed_mps = np.hypot(east_mps, north_mps)
     moving = speed_mps >= COURSE_FROM_MPS
     if not moving.any():
         raise DriveError(f"{where}: never moves at {COURSE_FROM_MPS} m/s; its heading is unknown")
     course_rad = np.unwrap(np.arctan2(north_mps, east_mps)[moving])
+    t_s = elapsed_s(t_ns, int(t_ns[0]))
     course_rad = np.interp(t_s, t_s[moving], course_rad)
-    rate_radps = (course_rad[after] - course_rad[before]) / base_s
+    rate_radps = change_rate(t_ns, course_rad[:, None])[:, 0]
     return Ride(t_ns, p_world_m, speed_mps, course_rad, rate_radps)
+
+
+def change_rate(t_ns: Instants, values: Array) -> Array:
+    """(N, m) per second, of values (N, m) at increasing instants, over `BASE_ROWS` to each side."""
+    n = len(t_ns)
+    before = np.maximum(np.arange(n) - BASE_ROWS, 0)
+    after = np.minimum(np.arange(n) + BASE_ROWS, n - 1)
+    t_s = elapsed_s(t_ns, int(t_ns[0]))
+    base_s = np.maximum(t_s[after] - t_s[before], 1e-9)
+    return np.asarray((values[after] - values[before]) / base_s[:, None])
 
 
 def every(t_ns: Instants, rate_hz: float) -> NDArray[np.bool_]:
@@ -78,17 +84,27 @@ def every(t_ns: Instants, rate_hz: float) -> NDArray[np.bool_]:
 
 
 def simulated_gps(
-    ride: Ride, rows: NDArray[np.bool_], sigma_m: float, bias: GnssBias | None, seed: int
+    t_ns: Instants,
+    p_world_m: Array,
+    sigma_m: float,
+    bias: GnssBias | None,
+    seed: int,
+    name: str = "rtk",
 ) -> GnssFixes:
-    """Fixes of the antenna at the rows, white noise of `sigma_m` and a slow bias on each axis."""
-    t_ns, rng = ride.t_ns[rows], stream(seed, "rtk/gps")
+    """Fixes of an antenna at places (N, 3), white noise of `sigma_m` and a slow bias on each axis.
+
+    Of receivers with different names the errors have nothing in common.
+    """
+    rng = stream(seed, f"{name}/gps")
     n = len(t_ns)
     error_m = sigma_m * rng.standard_normal((n, 3))
     if bias is not None:
-        slow = gauss_markov(bias.tau_s, elapsed_s(t_ns, int(t_ns[0])), 3, stream(seed, "rtk/bias"))
+        slow = gauss_markov(
+            bias.tau_s, elapsed_s(t_ns, int(t_ns[0])), 3, stream(seed, f"{name}/bias")
+        )
         error_m += bias.sigma_m * slow
     cov_m2 = np.tile(sigma_m**2 * np.eye(3), (n, 1, 1))
-    return GnssFixes(t_ns, t_ns, ride.p_world_m[rows] + error_m, cov_m2, np.full((n, 3), np.nan))
+    return GnssFixes(t_ns, t_ns, p_world_m + error_m, cov_m2, np.full((n, 3), np.nan))
 
 
 def simulated_odometry(ride: Ride, seed: int) -> Odometry:

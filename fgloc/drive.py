@@ -114,6 +114,8 @@ class Rig:
     gnss_bias    or None where the fixes' errors are white
     camera       that reads Smart Codes, or None where there is none
     p_veh_tag_m  (3,) what measures ranges, in the vehicle frame, m
+    user_bias    or None where the errors of what other road users say of their places are white;
+                 each user's is its own
     """
 
     p_veh_ant_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -123,6 +125,7 @@ class Rig:
     gnss_bias: GnssBias | None = None
     camera: Camera | None = None
     p_veh_tag_m: Array = field(default_factory=lambda: np.zeros(3))
+    user_bias: GnssBias | None = None
 
     def __post_init__(self) -> None:
         shapes = {

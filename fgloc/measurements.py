@@ -269,17 +269,19 @@ class ObjectTracks(Table):
     """What a method says of other road users.
 
     track_id    (N,) number of the track, from 0 in the order of birth
+    user_id     (N,) of the road user that says so itself, in `UserFixes`; -1 where nobody says
     state       (N, 4) East and North in m, velocity East and North in m/s
     cov         (N, 4, 4) its covariance
     """
 
     track_id: NDArray[np.int64]
+    user_id: NDArray[np.int64]
     state: Array
     cov: Array
 
     KIND = "tracks"
-    WHOLE = frozenset({"track_id"})
-    SHAPES: ClassVar = {"track_id": (), "state": (4,), "cov": (4, 4)}
+    WHOLE = frozenset({"track_id", "user_id"})
+    SHAPES: ClassVar = {"track_id": (), "user_id": (), "state": (4,), "cov": (4, 4)}
 
 
 @dataclass(frozen=True, eq=False)

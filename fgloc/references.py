@@ -131,11 +131,13 @@ def _of_node(
     cov *= config.detections.sigma_scale**2
     if source.bias is not None:
         cov = cov + source.bias.sigma_m**2 * np.eye(2)
+    slow_m = drive.rig.user_bias.sigma_m if drive.rig.user_bias else 0.0
     doubt = cov + _doubt_m2(drive, source, s, of_node, z)
     limit = chi2_quantile(config.detections.gate_probability, 2)
     parts, fits = [], []
     for user in np.unique(users.user_id).tolist():
         told_m, told_cov, received_ns, known = _placed(users, user, of_node.t_ns, judged)
+        told_cov = told_cov + slow_m**2 * np.eye(2)
         gap, S = told_m - z, doubt + told_cov
         nis = np.where(known, np.einsum("ni,nij,nj->n", gap, np.linalg.inv(S), gap), np.inf)
         received_ns = np.maximum(received_ns, of_node.received_ns)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.correspondence.epochs import Epoch
 from fgloc.correspondence.rigid import rotation
-from fgloc.correspondence.tracks import Epoch
 from fgloc.measurements import Array
 
 ACCEL_DENSITY = 3.0
@@ -106,11 +106,14 @@ def of_node(epoch: Epoch, node: int, tracks: int) -> Information:
 def of_car(epoch: Epoch, ego: int, tracks: int) -> Information:
     """What the car measures: its own place, and others relative to it. Eq. (4.13), (4.14).
 
+    With it comes what other road users tell the car of their places.
     What it sees in its axes is turned by its heading, whose variance is added.
     """
     found = Information.nothing(tracks)
     if epoch.fix_m is not None and epoch.fix_R_m2 is not None:
         _place(found, ego, epoch.fix_m, epoch.fix_R_m2)
+    for track, z, R_m2 in zip(epoch.told, epoch.told_m, epoch.told_R_m2, strict=True):
+        _place(found, int(track), z, R_m2)
     if not math.isfinite(epoch.yaw_rad):
         return found
     R = rotation(epoch.yaw_rad)

@@ -24,8 +24,9 @@ import numpy as np
 from fgloc.baselines.consensus import gamma, gamma_star, rank_of, star
 from fgloc.baselines.joint import Belief, Information, model, of_car, of_node
 from fgloc.baselines.packets import Network, Packet
+from fgloc.correspondence.epochs import Epochs
 from fgloc.correspondence.results import cooperative_result
-from fgloc.correspondence.tracks import Epochs, track_objects
+from fgloc.correspondence.tracks import track_objects
 from fgloc.drive import Drive
 from fgloc.measurements import Array
 from fgloc.result import Result

@@ -157,6 +157,10 @@ import_numbers = with_options(
         "--odometry", is_flag=True, flag_value=True, default=None, type=bool,
         help="Simulate speed, yaw rate and velocity as well.",
     ),
+    click.option(
+        "--others", is_flag=True, flag_value=True, default=None, type=bool,
+        help="The other vehicle says where it is.",
+    ),
     click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Of what is simulated."),
 )  # fmt: skip
 config = click.option(

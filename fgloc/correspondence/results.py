@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.correspondence.tracks import Epochs
+from fgloc.correspondence.epochs import Epochs
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
 from fgloc.frames import yaw_matrix
@@ -108,4 +108,7 @@ def _tracks(
     at = [slice(4 * t, 4 * t + 4) for _, t in rows]
     state = np.array([x[k][a] for (k, _), a in zip(rows, at, strict=True)]).reshape(-1, 4)
     cov = np.array([P[k][a, a] for (k, _), a in zip(rows, at, strict=True)]).reshape(-1, 4, 4)
-    return ObjectTracks(t_ns, t_ns, np.array([t for _, t in rows], np.int64), state, cov)
+    user = {track: number for number, track in found.users.items()}
+    track_id = np.array([t for _, t in rows], np.int64)
+    user_id = np.array([user.get(t, -1) for _, t in rows], np.int64)
+    return ObjectTracks(t_ns, t_ns, track_id, user_id, state, cov)

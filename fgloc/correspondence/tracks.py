@@ -5,22 +5,32 @@ is new. To a node's new number belongs the track that is nearest to where it is 
 node's or of one whose number the node has dropped; it is sought where it was heading. The car is
 the track where its fix is; without fixes it finds itself by `match`. To a number of the car's own
 belongs the track on which it falls under the heading that the objects agree on.
+
+Where other road users say where they are, they and the car are tracks from their first fix on, and
+what nodes see is theirs as `tellers` has it.
 """
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.correspondence.epochs import Epoch, Epochs
 from fgloc.correspondence.matching import match
 from fgloc.correspondence.rigid import Rigid, Status, fit, rotation, wrapped
-from fgloc.drive import Drive
+from fgloc.correspondence.tellers import Tellers
+from fgloc.drive import Drive, GnssBias
 from fgloc.errors import DriveError
-from fgloc.measurements import Array, GnssFixes, NodeDetections, RelativeSightings, Table
-from fgloc.timing import Instants
+from fgloc.measurements import (
+    PEDESTRIAN,
+    Array,
+    GnssFixes,
+    NodeDetections,
+    RelativeSightings,
+    Table,
+    UserFixes,
+)
 from fgloc.verdicts import SourceVerdicts, Verdict
 
 T = TypeVar("T", bound=Table)
@@ -34,48 +44,7 @@ _VELOCITY_NS = 500_000_000
 A_UNSTATED = 3e-4
 """Variance over the square of the slant range where a node states no covariance."""
 _NO_TRACK = -1
-
-
-@dataclass(eq=False)
-class Epoch:
-    """What was measured at one instant, by track.
-
-    node, track, z_m, R_m2   of nodes (n,), (n,), (n, 2) East and North, (n, 2, 2)
-    fix_m, fix_R_m2          of the car itself (2,), (2, 2), or None
-    seen, seen_m, seen_R_m2  by the car: track (m,), position in its axes (m, 2), covariance
-    row, received_ns         (n,) of the nodes' sightings: row of the table, when it arrived
-    yaw_rad, yaw_var         heading of the car, by what it sees and what nodes see; NaN if unknown
-    """
-
-    t_ns: int
-    node: NDArray[np.int64]
-    track: NDArray[np.int64]
-    z_m: Array
-    R_m2: Array
-    row: NDArray[np.int64]
-    received_ns: Instants
-    fix_m: Array | None = None
-    fix_R_m2: Array | None = None
-    seen: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    seen_m: Array = field(default_factory=lambda: np.empty((0, 2)))
-    seen_R_m2: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
-    yaw_rad: float = math.nan
-    yaw_var: float = math.nan
-
-
-@dataclass(frozen=True, eq=False)
-class Epochs:
-    """All instants of a drive with their sightings by track; `ego` is the track of the car."""
-
-    epochs: list[Epoch]
-    tracks: int
-    ego: int
-    verdicts: Mapping[str, SourceVerdicts]
-
-    @property
-    def t_ns(self) -> Instants:
-        """(N,) the instants."""
-        return np.array([epoch.t_ns for epoch in self.epochs], np.int64)
+_FAR_OFF = "far from where all else puts it"
 
 
 def track_objects(drive: Drive, method: str) -> Epochs:
@@ -102,6 +71,9 @@ class _Tracker:
         self.tracks = 0
         self.ego = _NO_TRACK
         self.yaw = (math.nan, math.nan, 0)
+        self.users: dict[int, int] = {}
+        self.slow: dict[int, GnssBias] = {}
+        self.tellers = Tellers()
 
     def run(self) -> Epochs:
         """Go through all instants."""
@@ -112,8 +84,11 @@ class _Tracker:
                 f"drive {self.drive.name!r} has no detections of nodes (it has {have})"
             )
         fixes, own = self._table(GnssFixes), self._table(RelativeSightings)
-        tables = [table for table in (seen, fixes, own) if table is not None and len(table)]
-        epochs = [self._epoch(seen, int(t), fixes, own)
+        users = self._table(UserFixes)
+        if users is not None:
+            self._reserve(users, fixes)
+        tables = [table for table in (seen, fixes, own, users) if table is not None and len(table)]
+        epochs = [self._epoch(seen, int(t), fixes, own, users)
                   for t in np.unique(np.concatenate([table.t_ns for table in tables]))]  # fmt: skip
         if self.ego == _NO_TRACK and len(tables) == 1:
             self.ego = self.by_node[min(self.by_node, key=lambda key: key[::-1])]
@@ -122,7 +97,7 @@ class _Tracker:
                 f"drive {self.drive.name!r}: the car is never found among what the nodes see; it "
                 "needs fixes, or three objects that it sees and that nodes see"
             )
-        return Epochs(epochs, self.tracks, self.ego, self.verdicts)
+        return Epochs(epochs, self.tracks, self.ego, self.verdicts, self.users, self.slow)
 
     def _epoch(
         self,
@@ -130,10 +105,13 @@ class _Tracker:
         t_ns: int,
         fixes: GnssFixes | None,
         own: RelativeSightings | None,
+        users: UserFixes | None,
     ) -> Epoch:
         epoch = self._by_nodes(seen, t_ns)
         if fixes is not None:
             self._fix(epoch, fixes)
+        if users is not None:
+            self._told(epoch, users)
         if own is not None:
             self._by_car(epoch, own)
         return epoch
@@ -141,7 +119,7 @@ class _Tracker:
     def _by_nodes(self, seen: NodeDetections, t_ns: int) -> Epoch:
         rows = np.flatnonzero(seen.t_ns == t_ns)
         nodes = self.drive.infrastructure.nodes
-        kept, tracks, places, noises = [], [], [], []
+        kept, places, noises = [], [], []
         for row in rows:
             node, z = nodes[seen.node[row]], seen.p_node_m[row]
             cov = seen.cov_node_m2[row]
@@ -156,15 +134,31 @@ class _Tracker:
                 continue
             place = node.to_world(z[None])[0]
             kept.append(row)
-            tracks.append(self._track(seen, row, t_ns, place, cov))
             places.append(place)
             noises.append(cov)
             self._set(seen, row, Verdict.USED)
         index = np.array(kept, np.int64)
+        z_m, R_m2 = np.array(places).reshape(-1, 2), np.array(noises).reshape(-1, 2, 2)
+        claimed = self._claimed(seen, index, t_ns, z_m, R_m2)
+        tracks = [
+            self._track(seen, row, t_ns, z_m[i], R_m2[i]) if claimed[i] == _NO_TRACK else claimed[i]
+            for i, row in enumerate(index)
+        ]
         return Epoch(
-            t_ns, seen.node[index], np.array(tracks, np.int64), np.array(places).reshape(-1, 2),
-            np.array(noises).reshape(-1, 2, 2), index, seen.received_ns[index],
+            t_ns, seen.node[index], np.array(tracks, np.int64), z_m, R_m2, index,
+            seen.received_ns[index],
         )  # fmt: skip
+
+    def _claimed(
+        self, seen: NodeDetections, index: NDArray[np.int64], t_ns: int, z_m: Array, R_m2: Array
+    ) -> NDArray[np.int64]:
+        """Tracks (n,) of rows that are of somebody who says where it is; else `_NO_TRACK`."""
+        claimed = np.full(len(index), _NO_TRACK)
+        for node in np.unique(seen.node[index]).tolist():
+            at = np.flatnonzero((seen.node[index] == node) & (seen.kind[index] != PEDESTRIAN))
+            number = seen.object_id[index[at]]
+            claimed[at] = self.tellers.claim(t_ns, node, number, z_m[at], R_m2[at])
+        return claimed
 
     def _track(self, seen: NodeDetections, row: Any, t_ns: int, place: Array, cov: Array) -> int:
         """The track of a node's number: the one it had, the nearest of others, or a new one."""
@@ -217,11 +211,50 @@ class _Tracker:
         if not fine:
             return
         self._set(fixes, fine[0], Verdict.USED)
-        epoch.fix_m = fixes.p_world_ant_m[fine[0], :2]
-        epoch.fix_R_m2 = fixes.cov_world_m2[fine[0], :2, :2]
+        z_m, R_m2 = fixes.p_world_ant_m[fine[0], :2], fixes.cov_world_m2[fine[0], :2, :2]
+        if self.users and not self._says(self.ego, epoch.t_ns, z_m, R_m2):
+            self._set(fixes, fine[0], Verdict.GATED, _FAR_OFF)
+            return
+        epoch.fix_m, epoch.fix_R_m2 = z_m, R_m2
         if self.ego == _NO_TRACK:
             nearest = self._nearest(epoch.fix_m, epoch.fix_R_m2, epoch.t_ns, set())
             self.ego = _NO_TRACK if nearest is None else nearest
+
+    def _reserve(self, users: UserFixes, fixes: GnssFixes | None) -> None:
+        """Tracks of all that say where they are, the car first; and how slow their errors are."""
+        if fixes is not None and len(fixes):
+            self.ego, self.tracks = self.tracks, self.tracks + 1
+        for number in np.unique(users.user_id).tolist():
+            self.users[number], self.tracks = self.tracks, self.tracks + 1
+        rig = self.drive.rig
+        if rig.user_bias is not None:
+            self.slow |= dict.fromkeys(self.users.values(), rig.user_bias)
+        if rig.gnss_bias is not None and self.ego != _NO_TRACK:
+            self.slow[self.ego] = rig.gnss_bias
+
+    def _told(self, epoch: Epoch, users: UserFixes) -> None:
+        """What road users say of themselves; of two fixes of one at an instant the first."""
+        rows = np.flatnonzero(users.t_ns == epoch.t_ns)
+        self._set(users, rows, Verdict.INVALID, "not finite, or one of two at an instant")
+        sound = np.isfinite(users.p_world_m[rows]).all(-1)
+        rows = rows[sound & np.isfinite(users.cov_m2[rows]).all((1, 2))]
+        rows = rows[np.unique(users.user_id[rows], return_index=True)[1]]
+        fits = np.array([
+            self._says(self.users[int(users.user_id[row])], epoch.t_ns, users.p_world_m[row],
+                       users.cov_m2[row]) for row in rows
+        ], bool)  # fmt: skip
+        self._set(users, rows[~fits], Verdict.GATED, _FAR_OFF)
+        rows = rows[fits]
+        self._set(users, rows, Verdict.USED)
+        epoch.told = np.array([self.users[int(one)] for one in users.user_id[rows]], np.int64)
+        epoch.told_m, epoch.told_R_m2 = users.p_world_m[rows], users.cov_m2[rows]
+
+    def _says(self, track: int, t_ns: int, z_m: Array, R_m2: Array) -> bool:
+        """A track says where it is; whether that can be."""
+        nodes = [GnssBias(node.bias_sigma_m, node.bias_tau_s)
+                 for node in self.drive.infrastructure.nodes if node.bias_sigma_m]  # fmt: skip
+        worst = max(nodes, key=lambda bias: bias.sigma_m, default=None)
+        return self.tellers.told(track, t_ns, z_m, R_m2, self.slow.get(track), worst)
 
     def _by_car(self, epoch: Epoch, own: RelativeSightings) -> None:
         rows = np.flatnonzero(own.t_ns == epoch.t_ns)

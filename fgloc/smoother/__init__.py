@@ -12,7 +12,7 @@ import numpy as np
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
 from fgloc.errors import InputError
-from fgloc.measurements import NodeDetections, RelativeSightings
+from fgloc.measurements import NodeDetections, RelativeSightings, UserFixes
 from fgloc.post_health import post_health
 from fgloc.result import Event, Result
 from fgloc.smoother import clocks
@@ -99,7 +99,8 @@ def _refuse_incremental(drive: Drive, config: SmoothConfig) -> None:
 
 def is_cooperative(drive: Drive) -> bool:
     """Whether a drive is of several road users, seen by nodes, rather than of one car."""
-    others = drive.objects is not None or RelativeSightings.KIND in drive.tables
+    told = {RelativeSightings.KIND, UserFixes.KIND} & drive.tables.keys()
+    others = drive.objects is not None or bool(told)
     return others and NodeDetections.KIND in drive.tables and "imu" not in drive.tables
 
 

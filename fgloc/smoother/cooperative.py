@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
+from fgloc.correspondence.epochs import Epochs
 from fgloc.correspondence.results import cooperative_result
 from fgloc.correspondence.rigid import wrapped
-from fgloc.correspondence.tracks import Epochs, track_objects
+from fgloc.correspondence.tracks import track_objects
 from fgloc.drive import Drive
 from fgloc.errors import InputError, SolverError
 from fgloc.infrastructure import Node
@@ -23,6 +24,8 @@ from fgloc.result import Result
 from fgloc.smoother.cooperative_model import (
     Builder,
     heading_key,
+    of_node,
+    slow_key,
     state_key,
     survey_key,
 )
@@ -91,7 +94,7 @@ def _batch(
     """Everything at once, linearised again about the headings that were found."""
     headings = _continuous([epoch.yaw_rad for epoch in found.epochs])
     for _ in range(ROUNDS):
-        builder = Builder(found.ego, nodes)
+        builder = Builder(found.ego, nodes, found.slow)
         graph, alive = gtsam.NonlinearFactorGraph(), []
         for k, epoch in enumerate(found.epochs):
             part = builder.begin(epoch, headings[k])
@@ -133,7 +136,9 @@ def _revise(found: Epochs, alive: list[list[int]], delta: gtsam.VectorValues) ->
         place = np.array([delta.at(state_key(int(track), k))[:2] for track in tracks])
         for node in np.unique(epoch.node):
             rows = np.flatnonzero(epoch.node == node)
-            gap = epoch.z_m[rows][:, None] - place
+            key = slow_key(of_node(int(node)), k)
+            slow_m = delta.at(key) if delta.exists(key) else np.zeros(2)
+            gap = epoch.z_m[rows][:, None] - slow_m - place
             W = np.linalg.inv(epoch.R_m2[rows])
             cost = np.einsum("nti,nij,ntj->nt", gap, W, gap)
             own, theirs = linear_sum_assignment(cost)
@@ -148,7 +153,7 @@ def _online(
     found: Epochs, nodes: tuple[Node, ...], beliefs: Beliefs, lag_s: float
 ) -> tuple[int, dict[int, Array]]:
     """Instant by instant; sightings of nodes enter when they arrive, at the state they are of."""
-    builder = Builder(found.ego, nodes)
+    builder = Builder(found.ego, nodes, found.slow)
     tree = new_tree(lag_s)
     waiting: list[tuple[int, int, int]] = []  # arrival, instant, row of the instant
     sighted: set[int] = set()
@@ -168,7 +173,7 @@ def _online(
             builder.node_sighting(part, late, i, of)
             sighted.add(int(late.track[i]))
         builder.car_sightings(part, epoch, k, about)
-        sighted |= {int(track) for track in epoch.seen}
+        sighted |= {int(track) for track in (*epoch.seen, *epoch.told)}
         if epoch.fix_m is not None:
             sighted.add(found.ego)
         tree.update(part.graph, part.values, builder.stamps(part))
@@ -189,6 +194,7 @@ def new_tree(lag_s: float) -> gtsam.IncrementalFixedLagSmoother:
     params = gtsam.ISAM2Params()
     params.setRelinearizeThreshold(1e9)
     params.findUnusedFactorSlots = True
+    params.setFactorization("QR")  # instants may be a fraction of a millisecond apart
     return gtsam.IncrementalFixedLagSmoother(lag_s, params)
 
 

@@ -5,13 +5,15 @@
 | s(track, k) | East and North in m, velocity East and North in m/s, of a road user at instant k |
 | h(k) | heading of the ego car, rad |
 | n(node) | error of a node's survey: East and North in m, yaw in rad; where the survey has sigmas |
+| b(source, k) | slow error, where one is stated, of a node or of a road user's own fixes, m |
 
 | factor | between | residual |
 |---|---|---|
 | motion | s, s | constant velocity, white noise on the acceleration, exact over the step |
 | turning | h, h | the heading walks |
-| node's sighting | s, and n | where the node sees the road user |
-| fix | s | where the car's fix puts it |
+| slow error | b, b | it forgets itself (first-order Gauss-Markov) |
+| node's sighting | s, and n, b | where the node sees the road user |
+| fix | s, and b | where the car's fix, or what another road user says of itself, puts it |
 | own sighting | s of the car, s of another, h | where the car sees the other |
 
 All are linear but the last, which is linearised about a heading that is known to a few degrees; a
@@ -20,14 +22,16 @@ begins where it is seen again.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import gtsam
 import numpy as np
 
+from fgloc.correspondence.epochs import Epoch
 from fgloc.correspondence.rigid import rotation
-from fgloc.correspondence.tracks import Epoch
+from fgloc.drive import GnssBias
 from fgloc.infrastructure import Node
 from fgloc.measurements import Array
 from fgloc.smoother.tree import Stamps
@@ -59,6 +63,16 @@ def survey_key(node: int) -> int:
     return int(gtsam.symbol("n", node))
 
 
+def slow_key(source: int, k: int) -> int:
+    """Of a slow error at an instant: of a track's own fixes, or, below 0, of a node."""
+    return int(gtsam.symbol("b" if source >= 0 else "c", abs(source) * 10_000_000 + k))
+
+
+def of_node(node: int) -> int:
+    """The source of a node's slow error."""
+    return -1 - node
+
+
 @dataclass(eq=False)
 class Part:
     """Factors and first values that one instant adds, with the keys whose time it moves on."""
@@ -71,8 +85,16 @@ class Part:
 class Builder:
     """Turns instants into factors, one after the other."""
 
-    def __init__(self, ego: int, nodes: tuple[Node, ...]) -> None:
+    def __init__(
+        self, ego: int, nodes: tuple[Node, ...], slow: Mapping[int, GnssBias] | None = None
+    ) -> None:
         self.ego, self.nodes = ego, nodes
+        self.slow = dict(slow or {})
+        self.slow |= {
+            of_node(i): GnssBias(node.bias_sigma_m, node.bias_tau_s)
+            for i, node in enumerate(nodes) if node.bias_sigma_m
+        }  # fmt: skip
+        self.drifting: dict[int, int] = {}  # instant of the last state of each slow error
         self.zeros = gtsam.Values()  # where the factors are linear from
         self.last: dict[int, int] = {}  # instant of the last state of each live track
         self.seen_ns: dict[int, int] = {}
@@ -89,7 +111,7 @@ class Builder:
         k = len(self.t_ns)
         self.t_ns.append(epoch.t_ns)
         part = Part(gtsam.NonlinearFactorGraph(), gtsam.Values(), [])
-        sighted = {int(t) for t in epoch.track} | {int(t) for t in epoch.seen}
+        sighted = {int(t) for t in (*epoch.track, *epoch.seen, *epoch.told)}
         if epoch.fix_m is not None:
             sighted.add(self.ego)
         for track in sighted:
@@ -98,6 +120,7 @@ class Builder:
         for track in alive:
             self._state(part, track, k)
         self.last = dict.fromkeys(alive, k)
+        self._drift(part, {of_node(int(node)) for node in epoch.node} | set(alive), k)
         self._turn(part, yaw_rad, k)
         return part
 
@@ -111,20 +134,22 @@ class Builder:
         """One sighting of a node."""
         node, key = int(epoch.node[i]), state_key(int(epoch.track[i]), k)
         W = _whitener(epoch.R_m2[i])
+        terms = [(key, W @ _POSITION), *self._slowly(of_node(node), k, W)]
         if not self._has_survey(part, node):
-            self._add(part, 2, W @ epoch.z_m[i], (key, W @ _POSITION))
+            self._add(part, 2, W @ epoch.z_m[i], *terms)
             return
         ray = epoch.z_m[i] - self.nodes[node].p_world_m[:2]
         # What is told is the place and the survey's errors: z = p + d + yaw across the ray.
         off = np.column_stack([np.eye(2), [-ray[1], ray[0]]])
-        self._add(part, 2, W @ epoch.z_m[i], (key, W @ _POSITION), (survey_key(node), W @ off))
+        self._add(part, 2, W @ epoch.z_m[i], *terms, (survey_key(node), W @ off))
 
     def car_sightings(self, part: Part, epoch: Epoch, k: int, yaw_rad: float) -> None:
-        """The car's fix, and where it sees others under about a heading."""
+        """The car's fix, what others say of theirs, and where it sees others under a heading."""
         ego = state_key(self.ego, k)
         if epoch.fix_m is not None and epoch.fix_R_m2 is not None:
-            W = _whitener(epoch.fix_R_m2)
-            self._add(part, 2, W @ epoch.fix_m, (ego, W @ _POSITION))
+            self._fix(part, self.ego, k, epoch.fix_m, epoch.fix_R_m2)
+        for track, z, cov in zip(epoch.told, epoch.told_m, epoch.told_R_m2, strict=True):
+            self._fix(part, int(track), k, z, cov)
         if not math.isfinite(yaw_rad) or self.ego not in self.last:
             return
         R = rotation(yaw_rad)
@@ -151,6 +176,31 @@ class Builder:
         dt_s = (self.t_ns[k] - self.t_ns[k - 1]) / 1e9
         F, W = motion(dt_s)
         self._add(part, 4, np.zeros(4), (state_key(track, k - 1), -W @ F), (key, W))
+
+    def _fix(self, part: Part, track: int, k: int, z_m: Array, R_m2: Array) -> None:
+        """Where a road user says it is."""
+        W = _whitener(R_m2)
+        terms = ((state_key(track, k), W @ _POSITION), *self._slowly(track, k, W))
+        self._add(part, 2, W @ z_m, *terms)
+
+    def _slowly(self, source: int, k: int, W: Array) -> tuple[tuple[int, Array], ...]:
+        """The term of a source's slow error, where it has one."""
+        return ((slow_key(source, k), W),) if source in self.slow else ()
+
+    def _drift(self, part: Part, begun: set[int], k: int) -> None:
+        """Slow errors go on from instant to instant; those of `begun` begin where they have not."""
+        for source in (begun & self.slow.keys()) | self.drifting.keys():
+            bias, key = self.slow[source], slow_key(source, k)
+            self._new(part, key, 2)
+            if source not in self.drifting:
+                self._add(part, 2, np.zeros(2), (key, np.eye(2) / bias.sigma_m))
+            else:
+                dt_s = (self.t_ns[k] - self.t_ns[k - 1]) / 1e9
+                kept = math.exp(-dt_s / bias.tau_s)
+                W = np.eye(2) / (bias.sigma_m * math.sqrt(1 - kept**2))
+                before = slow_key(source, self.drifting[source])
+                self._add(part, 2, np.zeros(2), (before, -kept * W), (key, W))
+            self.drifting[source] = k
 
     def _turn(self, part: Part, yaw_rad: float, k: int) -> None:
         """The heading's chain, from where one is known."""

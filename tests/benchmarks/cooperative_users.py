@@ -12,7 +12,7 @@ import time
 
 import numpy as np
 
-from fgloc.correspondence.tracks import Epoch
+from fgloc.correspondence.epochs import Epoch
 from fgloc.infrastructure import Node
 from fgloc.smoother.cooperative import new_tree
 from fgloc.smoother.cooperative_model import Builder, state_key

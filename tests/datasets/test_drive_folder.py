@@ -62,9 +62,10 @@ def fault(folder: Path) -> str:
 
 
 def assert_same(a: Drive, b: Drive) -> None:
-    assert (a.name, a.origin, a.about, a.rig.imu_noise, a.rig.gnss_bias) == (
-        b.name, b.origin, b.about, b.rig.imu_noise, b.rig.gnss_bias,
+    assert (a.name, a.origin, a.about, a.rig.imu_noise) == (
+        b.name, b.origin, b.about, b.rig.imu_noise,
     )  # fmt: skip
+    assert (a.rig.gnss_bias, a.rig.user_bias) == (b.rig.gnss_bias, b.rig.user_bias)
     assert a.rig.p_veh_ant_m.tobytes() == b.rig.p_veh_ant_m.tobytes()
     assert a.rig.T_veh_imu.tobytes() == b.rig.T_veh_imu.tobytes()
     assert a.rig.p_veh_box_m.tobytes() == b.rig.p_veh_box_m.tobytes()
@@ -114,7 +115,8 @@ def full_drive() -> Drive:
     )
     camera = Camera(2400.5, np.array([1224, 1023.5]), np.ones(3), -0.52)
     rig = dataclasses.replace(drive.rig, p_veh_box_m=np.array([1.3, -0.1, 0.8]),
-                              gnss_bias=GnssBias(1.3, 60.0), p_veh_tag_m=np.array([0, 0.1, 2]),
+                              gnss_bias=GnssBias(1.3, 60.0), user_bias=GnssBias(0.7, 30.0),
+                              p_veh_tag_m=np.array([0, 0.1, 2]),
                               camera=camera)  # fmt: skip
     drive = dataclasses.replace(drive, rig=rig, truth=truth, infrastructure=roadside_things(),
                                 post_truth=swayed(rng))  # fmt: skip

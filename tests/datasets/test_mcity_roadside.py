@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fgloc.cli import main
+from fgloc.correspondence.tracks import track_objects
 from fgloc.datasets import import_recording, open_drive
 from fgloc.datasets.mcity_roadside import (
     LATENCY_S,
@@ -180,6 +181,49 @@ def test_velocity_is_the_odometry_reckoned_from_the_true_heading(recording):
     assert velocity.sigma_mps[-1] > velocity.sigma_mps[0]
 
 
+def test_the_other_car_comes_in_as_a_user_with_a_truth_of_its_own(recording):
+    drive = import_mcity_roadside(recording, trial=4, others=True)
+    users, objects = drive.tables["users"], drive.objects
+    assert (len(users), len(objects)) == (10 * SECONDS, 40 * SECONDS)
+    assert set(users.user_id) == set(objects.object_id) == {1}
+    assert not np.isin(objects.t_ns, users.t_ns).any()
+    np.testing.assert_allclose(objects.p_world_m, np.zeros((len(objects), 2)), atol=1e-3)
+    np.testing.assert_allclose(objects.v_world_mps, np.zeros((len(objects), 2)), atol=1e-3)
+    assert np.abs(users.p_world_m).max() < 5.5
+    assert "rows of other vehicles" not in drive.about.source
+    assert import_mcity_roadside(recording, trial=4).objects is None
+
+
+def test_receivers_of_two_cars_err_apart_and_alike_in_size(recording):
+    options = {"gps_sigma_m": 0.001, "gps_bias_sigma_m": 3.0, "gps_bias_tau_s": 0.5}
+    drive = import_mcity_roadside(recording, trial=4, gps_rate_hz=25, others=True, **options)
+    own = (drive.gnss.p_world_ant_m[1:-1] - truth_at(drive, drive.gnss.t_ns[1:-1]))[:, :2]
+    other = drive.tables["users"].p_world_m[1:-1]
+    assert other.std() == pytest.approx(3.0, rel=0.3)
+    assert abs((own * other).mean()) < 0.4 * 3.0**2
+    assert drive.rig.user_bias.sigma_m == drive.rig.gnss_bias.sigma_m == 3.0
+
+
+def test_leaps_in_the_rtk_of_the_other_car_are_counted(tmp_path):
+    frames = rtk_frames()
+    for frame in frames[:50]:
+        frame["objs"][1] = thing(*place(9, 0), 1, "2")
+    folder = write(tmp_path, seen_frames(), frames)
+    for others, leaps in ((True, 1), (False, 0)):
+        source = import_mcity_roadside(folder, trial=4, others=others).about.source
+        assert f"steps of the RTK above 40 m/s, kept ({leaps})" in source
+
+
+@pytest.mark.parametrize("left", ["0", "x"])
+def test_others_are_refused_where_there_are_none_with_a_number(tmp_path, left):
+    frames = rtk_frames()
+    for frame in frames:
+        frame["objs"][1]["id"] = left
+    folder = write(tmp_path, seen_frames(), frames)
+    with pytest.raises(InputError, match="others asks for vehicles beside 0 with whole numbers"):
+        import_mcity_roadside(folder, trial=4, others=True)
+
+
 def test_the_seed_changes_what_is_simulated_and_nothing_else(recording):
     a, b = (import_mcity_roadside(recording, trial=4, odometry=True, seed=s) for s in (0, 1))
     assert a.tables["detections"].same_as(b.tables["detections"])
@@ -332,3 +376,15 @@ def test_licence_and_origin_lie_beside_the_sample():
     origin = (folder / "ORIGIN.txt").read_text()
     assert "SIMULATED: gnss.csv" in origin
     assert "REAL: detections.csv" in origin
+
+
+def test_of_two_cars_in_a_row_no_detection_is_taken_for_the_other(source):
+    drive = import_mcity_roadside(source, trial=13, others=True)
+    found = track_objects(drive, "test")
+    for track, truth in ((found.ego, drive.truth), (found.users[1], drive.objects)):
+        seen = [(epoch.t_ns, *z) for epoch in found.epochs
+                for z in epoch.z_m[epoch.track == track]]  # fmt: skip
+        t_ns, east_m, north_m = np.array(seen).T
+        off = [np.interp(t_ns, truth.t_ns, axis) for axis in truth.p_world_m.T[:2]]
+        assert len(t_ns) > 400
+        assert np.hypot(east_m - off[0], north_m - off[1]).max() < 3.0

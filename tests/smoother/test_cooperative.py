@@ -9,7 +9,8 @@ import fgloc
 from fgloc import baselines
 from fgloc.api import doctor
 from fgloc.baselines.joint import Belief, of_node
-from fgloc.correspondence.tracks import Epoch, track_objects
+from fgloc.correspondence.epochs import Epoch
+from fgloc.correspondence.tracks import track_objects
 from fgloc.datasets import make
 from fgloc.datasets.city import make_city
 from fgloc.errors import DriveError, InputError
