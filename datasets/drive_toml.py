@@ -3,7 +3,7 @@
 import dataclasses
 import tomllib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 import tomli_w
@@ -23,13 +23,16 @@ Row4 = Annotated[list[float], Field(min_length=4, max_length=4)]
 Matrix4 = Annotated[list[Row4], Field(min_length=4, max_length=4)]
 
 
-class _Part(BaseModel):
+M = TypeVar("M", bound=BaseModel)
+
+
+class Part(BaseModel):
     """A table of the file; unknown keys, text for numbers, NaN and infinity are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
-class AboutPart(_Part):
+class AboutPart(Part):
     """[about]: for people."""
 
     title: str = ""
@@ -38,7 +41,7 @@ class AboutPart(_Part):
     simulated: bool = False
 
 
-class OriginPart(_Part):
+class OriginPart(Part):
     """[origin]: where the world frame touches the Earth."""
 
     lat_deg: float = Field(ge=LATITUDE_LIMITS_DEG[0], le=LATITUDE_LIMITS_DEG[1])
@@ -47,7 +50,7 @@ class OriginPart(_Part):
     datum: Literal["ellipsoid", "msl"] = "ellipsoid"
 
 
-class ImuNoisePart(_Part):
+class ImuNoisePart(Part):
     """[rig.imu_noise]: the fields of `ImuNoise`."""
 
     accel_noise_mps2_per_sqrt_hz: float = Field(gt=0)
@@ -58,14 +61,14 @@ class ImuNoisePart(_Part):
     gyro_bias_sigma_radps: float = Field(default=ImuNoise.gyro_bias_sigma_radps, gt=0)
 
 
-class GnssBiasPart(_Part):
+class GnssBiasPart(Part):
     """[rig.gnss_bias] and [rig.user_bias]: the fields of `GnssBias`."""
 
     sigma_m: float = Field(gt=0)
     tau_s: float = Field(gt=0)
 
 
-class CameraPart(_Part):
+class CameraPart(Part):
     """[rig.camera]: the fields of `Camera`."""
 
     focal_px: float = Field(gt=0)
@@ -74,7 +77,7 @@ class CameraPart(_Part):
     yaw_rad: float = Camera.yaw_rad
 
 
-class RigPart(_Part):
+class RigPart(Part):
     """[rig]: where the sensors sit."""
 
     p_veh_ant_m: Vector3 = [0.0, 0.0, 0.0]
@@ -87,7 +90,7 @@ class RigPart(_Part):
     user_bias: GnssBiasPart | None = None
 
 
-class NodePart(_Part):
+class NodePart(Part):
     """[[node]]: the fields of `Node`."""
 
     name: str = Field(min_length=1)
@@ -101,7 +104,7 @@ class NodePart(_Part):
     sensor: Literal["camera", "lidar"] = Node.sensor
 
 
-class PostPart(_Part):
+class PostPart(Part):
     """[[post]]: the fields of `Post`."""
 
     node: str = Field(min_length=1)
@@ -114,7 +117,7 @@ class PostPart(_Part):
     load_tau_s: float = Field(gt=0)
 
 
-class SignPart(_Part):
+class SignPart(Part):
     """[[sign]]: the fields of `Sign`."""
 
     name: str = Field(min_length=1)
@@ -125,20 +128,20 @@ class SignPart(_Part):
     side: Literal["left", "right"] = Sign.side
 
 
-class AnchorPart(_Part):
+class AnchorPart(Part):
     """[[anchor]]: the fields of `Anchor`."""
 
     name: str = Field(min_length=1)
     p_world_m: Vector3
 
 
-class TruthPart(_Part):
+class TruthPart(Part):
     """[truth]: of which point of the vehicle it tells."""
 
     p_veh_point_m: Vector3 = [0.0, 0.0, 0.0]
 
 
-class DriveToml(_Part):
+class DriveToml(Part):
     """The whole file."""
 
     format: Literal[1]
@@ -155,6 +158,11 @@ class DriveToml(_Part):
 
 def read_toml(path: Path) -> DriveToml:
     """The validated content of a `drive.toml`; DriveError with every fault at once."""
+    return read_model(path, DriveToml)
+
+
+def read_model(path: Path, kind: type[M]) -> M:
+    """The content of a TOML file as a model; DriveError with every fault at once."""
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as err:
@@ -162,7 +170,7 @@ def read_toml(path: Path) -> DriveToml:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
         raise DriveError(f"{path}: not valid TOML: {err}") from err
     try:
-        return validate(DriveToml, values, str(path))
+        return validate(kind, values, str(path))
     except ConfigError as err:
         raise DriveError(str(err)) from err
 

@@ -1,16 +1,22 @@
 """`recording.toml`: what a recording of a node's sensors says about itself and the mounts."""
 
-import tomllib
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from fgloc.config import validate
-from fgloc.datasets.drive_toml import AboutPart, NodePart, OriginPart, Vector2, Vector3
-from fgloc.errors import ConfigError, DriveError, InputError
+from fgloc.datasets.drive_toml import (
+    AboutPart,
+    NodePart,
+    OriginPart,
+    Part,
+    Vector2,
+    Vector3,
+    read_model,
+)
+from fgloc.errors import DriveError, InputError
 from fgloc.infrastructure import Node
 from fgloc.perception.heads import UNDISTORTED, Camera, Head, Lidar, PerceptionNode
 from fgloc.perception.recording import Recording
@@ -23,13 +29,7 @@ Size = Annotated[list[Annotated[int, Field(gt=0)]], Field(min_length=2, max_leng
 SensorName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 
-class _Part(BaseModel):
-    """A table of the file; unknown keys, text for numbers, NaN and infinity are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class SensorPart(_Part):
+class SensorPart(Part):
     """What cameras and LiDARs share. Frames are in the folder of the sensor's name."""
 
     name: SensorName
@@ -45,7 +45,7 @@ class CameraPart(SensorPart):
     principal_px: Vector2
     R_node_cam: Matrix3
     p_node_cam_m: Vector3
-    distortion: Vector5 = list(UNDISTORTED)
+    distortion: Vector5 = Field(default_factory=lambda: list(UNDISTORTED))
 
 
 class LidarPart(SensorPart):
@@ -61,11 +61,11 @@ class LidarPart(SensorPart):
     sigma_m: float
 
 
-class HeadPart(_Part):
+class HeadPart(Part):
     """[[head]]: cameras that share a view, and a LiDAR."""
 
     name: str = Field(min_length=1)
-    camera: list[CameraPart] = []
+    camera: list[CameraPart] = Field(default_factory=list)
     lidar: LidarPart | None = None
 
 
@@ -75,7 +75,7 @@ class SurveyPart(NodePart):
     height_m: float = Field(gt=0)
 
 
-class RecordingToml(_Part):
+class RecordingToml(Part):
     """The whole file. Stamps of `clock` "gps" count from 1980-01-06, of "tai" as PTP does."""
 
     format: Literal[1]
@@ -89,16 +89,7 @@ class RecordingToml(_Part):
 
 def read_toml(path: Path) -> RecordingToml:
     """The validated content of a `recording.toml`; DriveError with every fault at once."""
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as err:
-        raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
-        raise DriveError(f"{path}: not valid TOML: {err}") from err
-    try:
-        return validate(RecordingToml, values, str(path))
-    except ConfigError as err:
-        raise DriveError(str(err)) from err
+    return read_model(path, RecordingToml)
 
 
 def to_perception_node(path: Path, file: RecordingToml) -> PerceptionNode:
