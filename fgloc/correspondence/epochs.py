@@ -19,10 +19,10 @@ class Epoch:
 
     node, track, z_m, R_m2   of nodes (n,), (n,), (n, 2) East and North, (n, 2, 2)
     fix_m, fix_R_m2          of the car itself (2,), (2, 2), or None
-    told, told_m, told_R_m2  by other road users of themselves: track (u,), (u, 2), (u, 2, 2)
     seen, seen_m, seen_R_m2  by the car: track (m,), position in its axes (m, 2), covariance
     row, received_ns         (n,) of the nodes' sightings: row of the table, when it arrived
     yaw_rad, yaw_var         heading of the car, by what it sees and what nodes see; NaN if unknown
+    told, told_m, told_R_m2  by other road users of themselves: track (u,), (u, 2), (u, 2, 2)
     """
 
     t_ns: int
@@ -34,14 +34,14 @@ class Epoch:
     received_ns: Instants
     fix_m: Array | None = None
     fix_R_m2: Array | None = None
-    told: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
-    told_m: Array = field(default_factory=lambda: np.empty((0, 2)))
-    told_R_m2: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
     seen: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
     seen_m: Array = field(default_factory=lambda: np.empty((0, 2)))
     seen_R_m2: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
     yaw_rad: float = math.nan
     yaw_var: float = math.nan
+    told: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    told_m: Array = field(default_factory=lambda: np.empty((0, 2)))
+    told_R_m2: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -154,7 +154,7 @@ def _online(
 ) -> tuple[int, dict[int, Array]]:
     """Instant by instant; sightings of nodes enter when they arrive, at the state they are of."""
     builder = Builder(found.ego, nodes, found.slow)
-    tree = new_tree(lag_s)
+    tree = new_tree(lag_s, close=bool(found.users))  # users have clocks of their own
     waiting: list[tuple[int, int, int]] = []  # arrival, instant, row of the instant
     sighted: set[int] = set()
     yaw = math.nan
@@ -189,12 +189,16 @@ def _online(
     return builder.factors, {i: tree.calculateEstimateVector(survey_key(i)) for i in builder.survey}
 
 
-def new_tree(lag_s: float) -> gtsam.IncrementalFixedLagSmoother:
-    """iSAM2 over a lag. All factors are linear where they stand, so nothing is relinearised."""
+def new_tree(lag_s: float, *, close: bool = False) -> gtsam.IncrementalFixedLagSmoother:
+    """iSAM2 over a lag. All factors are linear where they stand, so nothing is relinearised.
+
+    Where instants may be `close`, a fraction of a millisecond apart, it takes QR, which is slower.
+    """
     params = gtsam.ISAM2Params()
     params.setRelinearizeThreshold(1e9)
     params.findUnusedFactorSlots = True
-    params.setFactorization("QR")  # instants may be a fraction of a millisecond apart
+    if close:
+        params.setFactorization("QR")
     return gtsam.IncrementalFixedLagSmoother(lag_s, params)
 
 
