@@ -5,6 +5,7 @@ Recipes, 3rd ed., section 6.2), inverted by Halley's method from the start of Wi
 """
 
 import math
+from functools import cache
 from statistics import NormalDist
 
 _EPS = 2.0**-53
@@ -12,6 +13,7 @@ _TINY = 1e-300
 _STIRLING_FROM = 30.0
 
 
+@cache
 def chi2_quantile(probability: float, dof: float) -> float:
     """The value that chi-square with `dof` degrees of freedom (any number above 0) stays below.
 

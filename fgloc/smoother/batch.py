@@ -64,13 +64,10 @@ class Solver(Protocol):
         of a rough optimum; None where they take as long as the whole."""
 
     def covariances(self, states: States, robust: Robustness) -> Spread:
-        """Of the poses, and of what the positions and the vehicle's own sources measure."""
+        """Of poses and posts, and of what the positions and the vehicle's own sources measure."""
 
     def held_term(self, source: str, states: States, at: NDArray[np.int64]) -> Term:
         """What one of the vehicle's own sources says at some keyframes."""
-
-    def post_covariances(self, states: States, robust: Robustness) -> Array:
-        """Of the states of the posts in all slots, (n, q, q)."""
 
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """Of what the drive shares and the graph estimates."""
@@ -136,9 +133,8 @@ def run_batch(model: Model) -> BatchRun:
     factors = solver.factors - int(robust.gated.sum()) - sum(map(len, robust.unheld.values()))
     events = _remarks(model, solver, robust, limits, settled=settled)
     sigmas = solver.shared_sigmas(states, robust)
-    posts_cov = solver.post_covariances(states, robust)
-    judge_batch(model, states, posts_cov)
-    posts = post_table(model, states.posts, posts_cov)
+    judge_batch(model, states, spread.posts)
+    posts = post_table(model, states.posts, spread.posts)
     return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, told, posts,
                     solver, robust)  # fmt: skip
 

@@ -184,29 +184,29 @@ class Chain(Terms):
         gradient[first[:, None], BIAS] = total
 
     def covariances(self, states: States, robust: Robustness) -> Spread:
-        """Of the poses, and of what the positions and the vehicle's own sources measure."""
+        """Of poses and posts, and of what the positions and the vehicle's own sources measure."""
         factor = self._factor(states, robust)
         kinds = {s: np.flatnonzero(self.source == s) for s in np.unique(self.source).tolist()}
         terms = {s: self._positions(states, s, rows, np.inf) for s, rows in kinds.items()}
         held = {name: self.held.term(name, states, at)
                 for name, at in self.held_keys(0, self.n).items()}  # fmt: skip
-        at = np.unique(np.concatenate([POSE, *(t.at for t in (*terms.values(), *held.values()))]))
+        posts = np.arange(self.post_first, self.width)
+        told = (term.at for term in (*terms.values(), *held.values()))
+        at = np.unique(np.concatenate([POSE, posts, *told]))
         known = Known(factor, at)
         predicted = np.empty((self.rows, 3, 3))
         for s, term in terms.items():
             L = np.linalg.cholesky(self.model.cov_m2[kinds[s]])
             predicted[kinds[s]] = L @ known.predicted(term) @ L.swapaxes(-1, -2)
         by_source = {name: known.predicted(term) for name, term in held.items()}
-        return Spread(known.blocks[:, :6, :6], predicted, by_source)
+        own = np.searchsorted(at, posts)
+        return Spread(
+            known.blocks[:, :6, :6], predicted, by_source, known.blocks[:, own[:, None], own]
+        )
 
     def held_term(self, source: str, states: States, at: NDArray[np.int64]) -> Term:
         """What one of the vehicle's own sources says at some keyframes."""
         return self.held.term(source, states, at)
-
-    def post_covariances(self, states: States, robust: Robustness) -> Array:
-        """Of the posts' states, those of all slots together (n, q, q)."""
-        own = np.arange(self.post_first, self.width)
-        return self._factor(states, robust).inverse_blocks(own)
 
     def shared_sigmas(self, states: States, robust: Robustness) -> SharedSigmas:
         """Of what the drive shares and this graph estimates."""
@@ -225,9 +225,10 @@ class Chain(Terms):
             return self._last[2]
         _, band = self.linearize(states, robust, "weights")
         try:
-            return band.factor()
+            self._last = states, robust, band.factor()
         except NotPositiveError as err:
             raise self._failure(err.unknown) from err
+        return self._last[2]
 
     def _failure(self, unknown: int) -> SolverError:
         """What to say where the normal equations cannot be solved."""

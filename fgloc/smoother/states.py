@@ -76,11 +76,13 @@ class Robustness:
 @dataclass(frozen=True, eq=False)
 class Spread:
     """Covariances at a solution: of the poses (n, 6, 6), of what the positions measure as predicted
-    (rows, 3, 3) in m^2, and the same of each of the vehicle's own sources, whitened."""
+    (rows, 3, 3) in m^2, the same of each of the vehicle's own sources, whitened, and of the states
+    of the posts in all slots (n, q, q)."""
 
     poses: Array
     positions: Array
     held: Mapping[str, Array]
+    posts: Array
 
 
 @dataclass(frozen=True, eq=False)

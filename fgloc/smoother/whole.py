@@ -74,14 +74,14 @@ class Whole:
         """None: GTSAM solves no sketch."""
 
     def covariances(self, states: States, robust: Robustness) -> Spread:
-        """Of the poses, and of what the positions and the vehicle's own sources measure."""
+        """Of poses and posts, and of what the positions and the vehicle's own sources measure."""
         joint = self._joint(states, robust)
         cov = np.stack([joint([X(j)]) for j in range(self.n)])
         predicted = np.empty((self.rows, 3, 3))
         for i in range(self.rows):
             predicted[i] = self._predicted(i, states, cov, joint, in_graph=not robust.gated[i])
         held = self._chain.covariances(states, robust).held
-        return Spread(cov, predicted, held)
+        return Spread(cov, predicted, held, self._posts(joint))
 
     def held_term(self, source: str, states: States, at: NDArray[np.int64]) -> Term:
         """What one of the vehicle's own sources says at some keyframes."""
@@ -123,13 +123,10 @@ class Whole:
         values = self._values(states, robust)  # which sets what detections are linear about
         return covariances(self._graph(robust), values, self.model)
 
-    def post_covariances(self, states: States, robust: Robustness) -> Array:
+    def _posts(self, joint: Callable[[list[int]], Array]) -> Array:
         """Of the states of the posts (n, q, q); those of different slots count as independent."""
         swaying = self.model.swaying
         cov = np.zeros((self.n, swaying.width, swaying.width))
-        if not swaying.slots:
-            return cov
-        joint = self._joint(states, robust)
         for j in range(self.n):
             for c, key in enumerate(swaying.keys_at(j)):
                 own = swaying.at(c)
