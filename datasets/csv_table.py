@@ -16,6 +16,7 @@ from pydantic_core import from_json, to_json
 
 from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer
 from fgloc.errors import DriveError
+from fgloc.files import read_filled
 
 _INT64 = np.iinfo(np.int64)
 _AT_ONCE = 1 << 20
@@ -31,7 +32,7 @@ def read_csv(path: Path, layout: Layout) -> Columns:
     Raises DriveError with file, line, column, value and remedy where the file is missing, empty
     or cut off, where its header does not fit `layout`, and where a cell does not hold a number.
     """
-    raw = read_bytes(path, "; a line with column names is needed")
+    raw = read_filled(path, "; a line with column names is needed")
     names = _header(path, raw)
     check_header(f"{path}:1", names, layout)
     columns = _parse_fast(path, raw, names)
@@ -74,19 +75,6 @@ def _formatted(columns: Mapping[str, ArrayLike]) -> Iterator[bytes]:
 
 def _exact(name: str, values: ArrayLike) -> NDArray[Any]:
     return np.asarray(values, np.int64 if is_integer(name) else np.float64)
-
-
-def read_bytes(path: Path, wanted: str = "") -> bytes:
-    """What a file holds; DriveError where it is missing, unreadable or empty of what is wanted."""
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError as err:
-        raise DriveError(f"{path}: no such file") from err
-    except OSError as err:
-        raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
-    if not raw or raw.isspace():
-        raise DriveError(f"{path}: the file is empty{wanted}")
-    return raw
 
 
 def _header(path: Path, raw: bytes) -> list[str]:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from fgloc.config import validate
 from fgloc.drive import About, Camera, Drive, GnssBias, ImuNoise, Rig
 from fgloc.errors import ConfigError, DriveError, InputError
+from fgloc.files import read_text
 from fgloc.frames import HEIGHT_LIMITS_M, LATITUDE_LIMITS_DEG, LONGITUDE_LIMITS_DEG, Origin
 from fgloc.infrastructure import Anchor, Infrastructure, Node, Post, Sign
 
@@ -164,10 +165,8 @@ def read_toml(path: Path) -> DriveToml:
 def read_model(path: Path, kind: type[M]) -> M:
     """The content of a TOML file as a model; DriveError with every fault at once."""
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as err:
-        raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
+        values = tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as err:
         raise DriveError(f"{path}: not valid TOML: {err}") from err
     try:
         return validate(kind, values, str(path))

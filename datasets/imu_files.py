@@ -17,6 +17,7 @@ from fgloc.datasets.csv_table import read_csv
 from fgloc.datasets.drive_tables import LAYOUTS, imu_from_columns
 from fgloc.drive import Drive, ImuNoise, Rig
 from fgloc.errors import DriveError, InputError, nearest
+from fgloc.files import read_text
 from fgloc.measurements import Array, ImuSamples
 
 _NOISE_KEYS = {
@@ -70,13 +71,8 @@ def _load(path: Path) -> dict[str, Any]:
     import yaml
 
     try:
-        text = path.read_text(encoding="utf-8").replace(_OPENCV_HEAD, "#", 1)
-        values = yaml.safe_load(text)
-    except FileNotFoundError as err:
-        raise DriveError(f"{path}: no such file") from err
-    except OSError as err:
-        raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
-    except (yaml.YAMLError, UnicodeDecodeError) as err:
+        values = yaml.safe_load(read_text(path).replace(_OPENCV_HEAD, "#", 1))
+    except yaml.YAMLError as err:
         raise DriveError(f"{path}: not valid YAML: {' '.join(str(err).split())}") from err
     if isinstance(values, dict) and isinstance(values.get("imu0"), dict):
         values = values["imu0"]

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.datasets.csv_table import read_bytes
 from fgloc.datasets.recording import number
 from fgloc.errors import DriveError, InputError
+from fgloc.files import read_filled
 from fgloc.frames import check_geodetic
 from fgloc.measurements import PEDESTRIAN, UNKNOWN, VEHICLE, Array
 from fgloc.timing import Instants
@@ -71,7 +71,7 @@ def vehicle_of(object_id: str) -> str:
 
 def _read(path: Path) -> Any:
     try:
-        return json.loads(read_bytes(path))
+        return json.loads(read_filled(path))
     except ValueError as err:  # both of JSON and of UTF-8
         raise DriveError(f"{path}: not valid JSON: {err}; copy the file again") from err
 

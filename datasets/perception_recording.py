@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.datasets.columns import Columns, Group, Layout
-from fgloc.datasets.csv_table import read_bytes, read_csv, write_csv
+from fgloc.datasets.csv_table import read_csv, write_csv
 from fgloc.datasets.drive_tables import OBJECTS, objects_from_columns, table_to_columns
 from fgloc.datasets.drive_toml import to_about, to_origin
 from fgloc.datasets.perception_toml import (
@@ -32,6 +32,7 @@ from fgloc.datasets.perception_toml import (
     to_perception_node,
 )
 from fgloc.errors import DriveError, InputError, nearest
+from fgloc.files import read_filled
 from fgloc.perception.boxes import ImageBoxes
 from fgloc.perception.image_files import IMAGE_SUFFIXES, read_image, write_image
 from fgloc.perception.point_clouds import CLOUD_SUFFIXES, read_cloud, write_cloud
@@ -122,7 +123,7 @@ def _frames(
 
 def _frame_rows(path: Path, suffixes: tuple[str, ...]) -> tuple[Instants, Instants, list[str]]:
     """Stamps and names of the files of a `frames.csv`."""
-    text = read_bytes(path, "; a line with column names is needed").decode("utf-8-sig", "replace")
+    text = read_filled(path, "; a line with column names is needed").decode("utf-8-sig", "replace")
     try:
         header, *rows = list(csv.reader(text.splitlines())) or [[]]
     except csv.Error as err:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from fgloc.datasets.csv_table import read_bytes
 from fgloc.datasets.drive_tables import is_covariance
 from fgloc.datasets.trajectory_columns import GEODETIC, check_increasing, check_places
 from fgloc.errors import DriveError, InputError
+from fgloc.files import read_filled
 from fgloc.frames import Datum, Origin
 from fgloc.measurements import Array, GnssFixes
 from fgloc.timing import NS_PER_S, Instants, decimal_to_ns
@@ -29,7 +29,7 @@ def read_lines(path: Path) -> list[str]:
 
     Raises DriveError where the file is missing, unreadable or empty.
     """
-    return read_bytes(path).decode("ascii", errors="replace").splitlines()
+    return read_filled(path).decode("ascii", errors="replace").splitlines()
 
 
 def number(where: str, name: str, cell: str) -> float:

@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from fgloc.config import validate
-from fgloc.datasets.csv_table import read_bytes
 from fgloc.errors import ConfigError, DriveError, InputError, nearest
+from fgloc.files import read_filled
 from fgloc.infrastructure import Sign
 
 
@@ -46,7 +46,7 @@ def read_sign_records(path: str | Path) -> dict[str, SignRecord]:
     """
     path = Path(path)
     try:
-        values = json.loads(read_bytes(path), object_pairs_hook=_once)
+        values = json.loads(read_filled(path), object_pairs_hook=_once)
     except ValueError as err:
         raise DriveError(f"{path}: not valid JSON: {err}") from err
     if not isinstance(values, dict):

@@ -18,6 +18,7 @@ from fgloc.datasets.trajectory_columns import (
     trajectory_to_columns,
 )
 from fgloc.errors import DriveError, InputError
+from fgloc.files import read_text
 from fgloc.frames import Origin, matrix_to_quat_xyzw
 from fgloc.timing import decimal_to_ns, iso_utc, ns_to_decimal
 from fgloc.trajectory import Trajectory
@@ -131,14 +132,7 @@ def _feature(name: str, trajectory: Trajectory, origin: Origin) -> dict[str, Any
 
 def _tum_lines(path: Path) -> list[tuple[int, str]]:
     """The lines that hold data, with their numbers counted from 1."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as err:
-        raise DriveError(f"{path}: no such file") from err
-    except OSError as err:
-        raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
-    except UnicodeDecodeError as err:
-        raise DriveError(f"{path}: byte {err.start} is not UTF-8 text") from err
+    text = read_text(path)
     stripped = ((number, line.strip()) for number, line in enumerate(text.split("\n"), start=1))
     lines = [(number, line) for number, line in stripped if line and not line.startswith("#")]
     if not lines:

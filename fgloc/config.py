@@ -7,6 +7,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from fgloc.chi_square import chi2_quantile
 from fgloc.errors import ConfigError, nearest
 
 M = TypeVar("M", bound=BaseModel)
@@ -20,7 +21,18 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class GnssConfig(Section):
+class Gated(Section):
+    """Settings of a source with a gate."""
+
+    gate_probability: float
+    gate_slack: float
+
+    def gate_nis(self, dof: int) -> float:
+        """The NIS above which what has so many degrees of freedom is gated."""
+        return chi2_quantile(self.gate_probability, dof) * self.gate_slack**2
+
+
+class GnssConfig(Gated):
     """How GNSS fixes enter the graph."""
 
     loss: Literal["none", "huber", "cauchy"] = "huber"
@@ -45,7 +57,7 @@ class GnssConfig(Section):
     """Time constant of that bias. Default: what the rig states, or 60 s."""
 
 
-class DetectionConfig(Section):
+class DetectionConfig(Gated):
     """How what roadside nodes see enters the graph."""
 
     use: bool = True

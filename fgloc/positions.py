@@ -11,7 +11,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.chi_square import chi2_quantile
 from fgloc.config import DetectionConfig, GnssConfig, SmoothConfig
 from fgloc.drive import Drive, GnssBias
 from fgloc.errors import DriveError
@@ -62,9 +61,7 @@ class PositionSource:
     @property
     def gate_nis(self) -> float:
         """NIS above which a row is gated."""
-        return chi2_quantile(self.settings.gate_probability, self.dof) * (
-            self.settings.gate_slack**2
-        )
+        return self.settings.gate_nis(self.dof)
 
     @property
     def surveyed(self) -> bool:

@@ -75,6 +75,14 @@ class SourceVerdicts:
         self.verdict[rows] = verdict
         self.reason[rows] = reason
 
+    def gate(self, row: int, nis: float, dof: int, limit: float) -> bool:
+        """Whether one row's NIS against a prediction is within the gate `limit`; noted with it."""
+        self.nis[row], self.dof[row], self.threshold[row] = nis, dof, limit
+        fits = nis <= limit
+        reason = "" if fits else "does not fit the prediction"
+        self.set(row, Verdict.USED if fits else Verdict.GATED, reason)
+        return fits
+
     def is_(self, verdict: Verdict) -> NDArray[np.bool_]:
         """(N,) bool: which rows have this verdict."""
         return np.asarray(self.verdict == verdict, bool)

@@ -44,7 +44,7 @@ def datasets(as_json: bool) -> None:
 @click.option(
     "--duration", "duration_s", type=float, metavar="S", help="Length of the drive in seconds."
 )
-@options.settings
+@options.settings("One option more, by name")
 @options.out_drive
 @options.as_json
 def make(
@@ -77,7 +77,7 @@ def make(
 @click.argument("source", metavar="[SOURCE]", required=False)
 @options.import_files
 @options.import_numbers
-@options.settings
+@options.settings("One option more, by name")
 @options.out_drive
 @options.as_json
 def import_drive(

@@ -119,6 +119,14 @@ def with_options(*options: Callable[[F], F]) -> Callable[[F], F]:
     return decorate
 
 
+def settings(what: str) -> Callable[[F], F]:
+    """The option `--set`."""
+    return click.option(
+        "--set", "settings", type=Setting(), multiple=True, metavar="KEY=VALUE",
+        help=f"{what}; may be given several times.",
+    )  # fmt: skip
+
+
 def out(metavar: str, what: str) -> Callable[[F], F]:
     """Where a command writes."""
     return click.option(
@@ -166,10 +174,6 @@ import_numbers = with_options(
 config = click.option(
     "--config", metavar="FILE", type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Configuration in TOML, e.g. the config.toml of an earlier result.",
-)  # fmt: skip
-settings = click.option(
-    "--set", "settings", type=Setting(), multiple=True, metavar="KEY=VALUE",
-    help="One option more, by name; may be given several times.",
 )  # fmt: skip
 score_from = click.option(
     "--score-from", "score_from_s", type=Seconds(), default=0.0, metavar="S",

@@ -40,10 +40,7 @@ A recording is a folder with a recording.toml; see the README.
     "--no-overlay", is_flag=True, help=f"Leave {OVERLAY}, a strip of pictures, out of the drive."
 )
 @options.config
-@click.option(
-    "--set", "settings", type=options.Setting(), multiple=True, metavar="KEY=VALUE",
-    help="One setting more, e.g. track.coast_s=2; may be given several times.",
-)  # fmt: skip
+@options.settings("One setting more, e.g. track.coast_s=2")
 @options.as_json
 def perceive(
     recording: Path, out: Path, overwrite: bool, method: str | None, detector: str | None,

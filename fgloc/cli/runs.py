@@ -32,10 +32,7 @@ Examples:
     help="Of fixed-lag, seconds [default: 5].",
 )
 @options.config
-@click.option(
-    "--set", "settings", type=options.Setting(), multiple=True, metavar="KEY=VALUE",
-    help="One setting, e.g. gnss.loss=none; may be given several times.",
-)  # fmt: skip
+@options.settings("One setting, e.g. gnss.loss=none")
 @click.option(
     "--smoothed", is_flag=True, help="Causal modes: write the last estimate of each state as well."
 )

@@ -29,10 +29,7 @@ Examples:
     help="The longest outage that the noise is to hold for, seconds; less on a short drive.",
 )  # fmt: skip
 @options.config
-@click.option(
-    "--set", "settings", type=options.Setting(), multiple=True, metavar="KEY=VALUE",
-    help="One setting to start from, e.g. gnss.sigma_scale=2; may be given several times.",
-)  # fmt: skip
+@options.settings("One setting to start from, e.g. gnss.sigma_scale=2")
 @options.seed
 @options.as_json
 def tune(

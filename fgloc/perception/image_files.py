@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fgloc.errors import DriveError
+from fgloc.files import read_bytes
 from fgloc.perception.recording import Image
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -23,12 +24,7 @@ def read_image(path: Path) -> Image:
 
     if path.suffix.lower() not in IMAGE_SUFFIXES:
         raise DriveError(f"{path}: an image is one of {', '.join(IMAGE_SUFFIXES)}; convert it")
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError as err:
-        raise DriveError(f"{path}: no such file") from err
-    except OSError as err:
-        raise DriveError(f"{path}: cannot be read: {err.strerror}") from err
+    raw = read_bytes(path)
     end = next((end for start, end in _ENDS.items() if raw.startswith(start)), None)
     if end is None:
         raise DriveError(f"{path}: is neither PNG nor JPEG inside; write it again")

@@ -70,7 +70,7 @@ def _by_drive(drive: Drive, config: SmoothConfig) -> Result:
 
         return replace(run_cooperative(drive, config), config=_provenance(config))
     if drive.has_vehicle:
-        return _vehicle(drive, config)
+        return _batch(drive, config) if config.mode == "batch" else _online(drive, config)
     from fgloc.smoother.posts import smooth_posts
 
     return smooth_posts(drive, config, _method(config))
@@ -102,11 +102,6 @@ def is_cooperative(drive: Drive) -> bool:
     told = {RelativeSightings.KIND, UserFixes.KIND} & drive.tables.keys()
     others = drive.objects is not None or bool(told)
     return others and NodeDetections.KIND in drive.tables and "imu" not in drive.tables
-
-
-def _vehicle(drive: Drive, config: SmoothConfig) -> Result:
-    """A drive with a vehicle, and with the posts of the nodes that see it."""
-    return _batch(drive, config) if config.mode == "batch" else _online(drive, config)
 
 
 def _batch(drive: Drive, config: SmoothConfig) -> Result:

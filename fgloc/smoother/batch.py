@@ -175,8 +175,7 @@ def _alone(model: Model, states: States, P: Array) -> NDArray[np.bool_]:
     does; P is the covariance of what they measure as predicted without them."""
     p, n = model.positions, len(P)
     nis = noise.nis(position_errors(model, states, np.arange(n)), P + model.cov_m2[:n])
-    gates = np.array([source.gate_nis for source in model.sources])
-    fits = p.candidates[:n] & (nis <= gates[p.source[:n]])
+    fits = p.candidates[:n] & (nis <= model.gate_nis[:n])
     return np.asarray(fits & (np.bincount(p.frame[:n], fits)[p.frame[:n]] == 1))
 
 
@@ -189,9 +188,7 @@ def _wait(model: Model, robust: Robustness) -> bool:
 def _limits(model: Model, told: Mapping[str, LeftOut]) -> dict[str, Array]:
     """The gate of every position (rows,), and of each of the vehicle's own sources; those of fixes
     and of the vehicle are widened where more than some exceed them."""
-    gates = np.array([source.gate_nis for source in model.sources])
-    limits = gates[model.positions.source]
-    fixes, nis = model.guides, told[POSITIONS].nis
+    limits, fixes, nis = model.gate_nis.copy(), model.guides, told[POSITIONS].nis
     gate = np.sqrt(model.sources[0].gate_nis)
     limits[fixes] *= _widening(gate, np.sqrt(nis[fixes])) ** 2
     of_all = {POSITIONS: limits}

@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.chi_square import chi2_quantile
 from fgloc.config import SmoothConfig
 from fgloc.constraints import NON_HOLONOMIC, STANDSTILL, wheel_of, wheel_source
 from fgloc.drive import Drive, Noise
@@ -113,7 +112,8 @@ class Car:
         M = np.concatenate([told.by_mounting[0], told.by_scale[0]], axis=1)
         S = H @ cov @ H.T + M @ calibration_cov @ M.T + sigma**2
         nis = float(noise.nis(told.error[0], S))
-        return self._gate(self.wheel_source, int(self.wheel_row[j]), nis, 1)
+        verdicts, limit = self.verdicts[self.wheel_source], self.limit(self.wheel_source, 1)
+        return verdicts.gate(int(self.wheel_row[j]), nis, 1, limit)
 
     def note_slip(
         self, j: int, R: Array, v: Array, bias: Array, cov: Array, calibration_cov: Array
@@ -139,23 +139,13 @@ class Car:
     def still_fits(self, j: int, v: Array, cov: Array) -> bool:
         """Gate the standstill at keyframe j against a velocity with the covariance (3, 3)."""
         S = cov + self.config.still_speed_mps**2 * np.eye(3)
-        return self._gate(STANDSTILL, int(self.still_row[j]), float(noise.nis(v, S)), 3)
-
-    def _gate(self, source: str, row: int, nis: float, dof: int) -> bool:
-        verdicts = self.verdicts[source]
-        limit = chi2_quantile(self.gnss.gate_probability, dof) * self.gnss.gate_slack**2
-        verdicts.nis[row], verdicts.dof[row], verdicts.threshold[row] = nis, dof, limit
-        fits = nis <= limit
-        reason = "" if fits else "does not fit the prediction"
-        verdicts.set(row, Verdict.USED if fits else Verdict.GATED, reason)
-        return fits
+        verdicts, nis = self.verdicts[STANDSTILL], float(noise.nis(v, S))
+        return verdicts.gate(int(self.still_row[j]), nis, 3, self.limit(STANDSTILL, 3))
 
     def limit(self, source: str, dof: int) -> float:
         """The gate of one of its sources; none for the constraint that nobody measured, which its
         loss weighs down."""
-        if source == NON_HOLONOMIC:
-            return np.inf
-        return chi2_quantile(self.gnss.gate_probability, dof) * self.gnss.gate_slack**2
+        return np.inf if source == NON_HOLONOMIC else self.gnss.gate_nis(dof)
 
     def judge(self, source: str, told: LeftOut, limit: float, out: frozenset[int]) -> None:
         """Verdicts of a graph that was solved at once: what was left out at some keyframes, what

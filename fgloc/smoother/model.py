@@ -107,6 +107,11 @@ class Model:
         return np.concatenate([np.broadcast_to(sigma, 3) for sigma in sigmas])
 
     @cached_property
+    def gate_nis(self) -> Array:
+        """(n,) NIS above which each position is gated."""
+        return np.array([source.gate_nis for source in self.sources])[self.positions.source]
+
+    @cached_property
     def cov_world_m2(self) -> Array:
         """(n, 3, 3) covariance of every position as the configuration believes it."""
         scale = np.array([source.settings.sigma_scale for source in self.sources])

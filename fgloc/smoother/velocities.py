@@ -4,7 +4,6 @@ from functools import cached_property
 
 import numpy as np
 
-from fgloc.chi_square import chi2_quantile
 from fgloc.config import GnssConfig
 from fgloc.constraints import velocity_of
 from fgloc.drive import Drive
@@ -13,7 +12,7 @@ from fgloc.measurements import Array, EnuVelocities
 from fgloc.smoother.lines import slopes
 from fgloc.sync import Plan
 from fgloc.timing import Instants
-from fgloc.verdicts import SourceVerdicts, Verdict
+from fgloc.verdicts import SourceVerdicts
 
 SOURCE = "velocity"
 WIDTH = 3.4
@@ -56,12 +55,6 @@ class Velocities:
 
     def fits(self, j: int, v_world_mps: Array, cov: Array) -> bool:
         """Gate the velocity at keyframe j against one with the covariance (3, 3), and note it."""
-        c, own, row = self._gate, self.verdicts, int(self.row[j])
         error = velocity.residual(v_world_mps, self.v_world_mps[j])
         nis = float(noise.nis(error, cov + self.sigma_mps[j] ** 2 * np.eye(3)))
-        limit = chi2_quantile(c.gate_probability, 3) * c.gate_slack**2
-        own.nis[row], own.dof[row], own.threshold[row] = nis, 3, limit
-        fits = nis <= limit
-        reason = "" if fits else "does not fit the prediction"
-        own.set(row, Verdict.USED if fits else Verdict.GATED, reason)
-        return fits
+        return self.verdicts.gate(int(self.row[j]), nis, 3, self._gate.gate_nis(3))

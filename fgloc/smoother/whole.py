@@ -75,7 +75,8 @@ class Whole:
 
     def covariances(self, states: States, robust: Robustness) -> Spread:
         """Of poses and posts, and of what the positions and the vehicle's own sources measure."""
-        joint = self._joint(states, robust)
+        values = self._values(states, robust)  # which sets what detections are linear about
+        joint = covariances(self._graph(robust), values, self.model)
         cov = np.stack([joint([X(j)]) for j in range(self.n)])
         predicted = np.empty((self.rows, 3, 3))
         for i in range(self.rows):
@@ -118,10 +119,6 @@ class Whole:
         P = H @ (joint(keys) if len(keys) > 1 else cov[j]) @ H.T
         alone = 0.0 if source.bias is None or in_graph else source.bias.sigma_m**2
         return P + alone * np.eye(3)
-
-    def _joint(self, states: States, robust: Robustness) -> Callable[[list[int]], Array]:
-        values = self._values(states, robust)  # which sets what detections are linear about
-        return covariances(self._graph(robust), values, self.model)
 
     def _posts(self, joint: Callable[[list[int]], Array]) -> Array:
         """Of the states of the posts (n, q, q); those of different slots count as independent."""
