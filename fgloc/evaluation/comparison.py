@@ -157,9 +157,18 @@ class Comparison:
         }  # fmt: skip
 
     def standings(self) -> list[Standing]:
-        """Each method over all drives under each condition that any drive has, and as a whole."""
+        """Each method over all drives under each condition that any drive has, and as a whole.
+
+        A condition under which no method can be scored is left out: a drive may lie all in range.
+        """
         names = [WHOLE, *dict.fromkeys(name for row in self.rows for name in row.conditions)]
-        return [self._standing(name, method) for name in names for method in self.methods]
+        found = {name: [self._standing(name, method) for method in self.methods] for name in names}
+        return [
+            standing
+            for name, of_all in found.items()
+            if name == WHOLE or any(x is not None for one in of_all for x in one.averages.values())
+            for standing in of_all
+        ]
 
     def _standing(self, condition: str, method: str) -> Standing:
         own = [row.under(condition) for row in self.of(method)]
