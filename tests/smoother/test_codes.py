@@ -10,8 +10,9 @@ from fgloc.baselines.marr2019_smart_code import run as run_filter
 from fgloc.datasets.registry import make
 from fgloc.errors import DriveError, InputError
 from fgloc.measurements import EnuVelocities
-from fgloc.smoother.codes import SETTINGS, build, smooth_codes
-from fgloc.smoother.codes_model import BIASES
+from fgloc.smoother.codes import SETTINGS, smooth_codes
+from fgloc.smoother.codes_build import build
+from fgloc.smoother.codes_sightings import BIASES
 from fgloc.verdicts import SourceVerdicts
 
 
