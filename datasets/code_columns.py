@@ -44,10 +44,11 @@ def smart_codes_from_columns(
     check_increasing(path, columns["t_ns"], duplicates=True)
     check_known(path, columns, SIGN, len(infrastructure.signs))
     _check_sizes(path, columns)
-    corners = _corners(path, columns)
+    corners, t_ns = _corners(path, columns), columns["t_ns"]
+    height_px, width_px = (columns[name] for name in SIZE)
     return SmartCodeSightings(
-        columns["t_ns"], columns.get("received_ns", columns["t_ns"]), columns[SIGN],
-        *(columns[name] for name in SIZE), _middle(path, columns, corners), corners,
+        t_ns, columns.get("received_ns", t_ns), columns[SIGN], height_px, width_px,
+        _middle(path, columns, corners), corners,
     )  # fmt: skip
 
 
