@@ -57,6 +57,7 @@ class Table:
     KIND: ClassVar[str]
     SHAPES: ClassVar[dict[str, tuple[int, ...]]]
     WHOLE: ClassVar[frozenset[str]] = frozenset()  # columns of whole numbers
+    OPTIONAL: ClassVar[frozenset[str]] = frozenset()  # columns with NaN where nothing was told
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -221,6 +222,7 @@ class NodeDetections(Table):
 
     KIND = "detections"
     WHOLE = frozenset({"node", "object_id", "kind"})
+    OPTIONAL = frozenset({"cov_node_m2"})
     SHAPES: ClassVar = {
         "node": (), "object_id": (), "kind": (), "p_node_m": (2,), "cov_node_m2": (2, 2),
     }  # fmt: skip
@@ -303,6 +305,7 @@ class NodePoses(Table):
 
     KIND = "node_poses"
     WHOLE = frozenset({"node"})
+    OPTIONAL = frozenset({"tilt_rad", "sigma_tilt_rad"})
     SHAPES: ClassVar = {
         "node": (), "p_node_m": (2,), "tilt_rad": (2,), "sigma_p_m": (2,), "sigma_tilt_rad": (2,),
     }  # fmt: skip
@@ -352,6 +355,7 @@ class SmartCodeSightings(Table):
 
     KIND = "smart_codes"
     WHOLE = frozenset({"sign"})
+    OPTIONAL = frozenset({"corners_px"})
     SHAPES: ClassVar = {
         "sign": (), "height_px": (), "width_px": (), "centre_px": (2,), "corners_px": (4, 2),
     }  # fmt: skip

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from fgloc.errors import InputError, nearest
 from fgloc.factors.corners import code_size_px
@@ -58,7 +58,7 @@ def _number(code: str, numbers: dict[str, int], image: int) -> int:
     return numbers[code]
 
 
-def _check_upright(corners_px: Array, least_px: Array, image: Array) -> None:
+def _check_upright(corners_px: Array, least_px: Array, image: NDArray[np.int64]) -> None:
     if (least_px <= 0).any():
         row = int(np.argmax(least_px <= 0))
         raise InputError(

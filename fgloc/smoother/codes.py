@@ -41,7 +41,7 @@ def smooth_codes(
     }
     model = build(drive, settings, verdicts["smart_codes"])
     verdicts["velocity"].set(slice(None), Verdict.USED)
-    states, globals_, _ = optimize(model, _first_path(model), model.prior[0])
+    states, globals_, _ = optimize(model, model.first_path(), model.prior[0])
     online = run_lag(model, states, globals_, lag_s or float("1e9"))
     if lag_s is None:
         states, globals_, _ = optimize(model, online.last, online.globals_)
@@ -72,14 +72,6 @@ def smooth_codes(
         },
     }
     return Result(trajectory, verdicts, summary, method, causal=lag_s is not None, config=mode)
-
-
-def _first_path(model: CodeModel) -> Array:
-    """States (n, 2) over the first sightings, from where these put the camera."""
-    path = [model.start_m]
-    for k in range(model.start_epoch + 1):
-        path.append(model.motion.predict(path[-1], model.prior[0], k))
-    return np.array(path)
 
 
 def _trajectory(

@@ -127,6 +127,13 @@ class CodeModel:
         sigma = np.r_[s.speed_sigma, s.heading_sigma_rad, own]
         return np.zeros(len(sigma)), sigma
 
+    def first_path(self) -> Array:
+        """States (n, 2) over the first sightings, from where these put the camera."""
+        path = [self.start_m]
+        for k in range(self.start_epoch + 1):
+            path.append(self.motion.predict(path[-1], self.prior[0], k))
+        return np.array(path)
+
     def linearize(self, states: Array, globals_: Array, first: int) -> Blocks:
         """Motion and sightings of a window of states (N, 2) from the epoch `first` on."""
         blocks = motion_blocks(self.motion, states, globals_, first)

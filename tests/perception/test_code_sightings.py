@@ -1,4 +1,4 @@
-"""Images to a table: rendered codes become sightings with corners, and the drive is found by them."""
+"""From images to a table: rendered codes become sightings, by which a drive is then found."""
 
 import numpy as np
 import pytest
