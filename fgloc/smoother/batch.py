@@ -133,6 +133,9 @@ def run_batch(model: Model) -> BatchRun:
     factors = solver.factors - int(robust.gated.sum()) - sum(map(len, robust.unheld.values()))
     events = _remarks(model, solver, robust, limits, settled=settled)
     sigmas = solver.shared_sigmas(states, robust)
+    model.car.velocities.found = states.velocity_errors
+    if sigmas.velocity_errors is not None:
+        model.car.velocities.found_cov = np.diag(sigmas.velocity_errors**2)
     judge_batch(model, states, spread.posts)
     posts = post_table(model, states.posts, spread.posts)
     return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, told, posts,
