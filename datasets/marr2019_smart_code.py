@@ -16,9 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.datasets.lane_motion import lane_motion
-from fgloc.datasets.marr2019_iea import HZ, ORIGIN, START_NS, VELOCITY_HZ, speed_and_heading
+from fgloc.datasets.marr2019_iea import (
+    HEADING_BIAS_RAD,
+    HZ,
+    ORIGIN,
+    SPEED_SCALE_SIGMA,
+    START_NS,
+    VELOCITY_HZ,
+    speed_and_heading,
+)
 from fgloc.datasets.simulator import Motion, instants, stream, truth_of
-from fgloc.drive import About, Camera, Drive, Rig
+from fgloc.drive import About, Camera, Drive, Rig, VelocityErrors
 from fgloc.errors import InputError, nearest
 from fgloc.factors.corners import code_size_px, sign_corners_m
 from fgloc.infrastructure import Infrastructure, Sign
@@ -83,7 +91,9 @@ def make_marr2019_smart_code(
         seen = replace(seen, corners_px=np.full_like(seen.corners_px, np.nan))
     if len(seen):
         tables["smart_codes"] = seen
-    rig, truth = Rig(camera=camera), truth_of(motion.every(HZ // VELOCITY_HZ))
+    lasting = VelocityErrors(SPEED_SCALE_SIGMA, HEADING_BIAS_RAD)
+    rig = Rig(camera=camera, velocity_errors=lasting)
+    truth = truth_of(motion.every(HZ // VELOCITY_HZ))
     about = _about(seed, path, camera_yaw_deg, corner_sigma_px, quantised, corners)
     beside = Infrastructure(signs=SIGNS)
     return Drive("marr2019/smart-code", ORIGIN, rig, tables, truth, about, beside)

@@ -82,16 +82,17 @@ def residual(
 
 def whitening(
     corners_px: Array, focal_px: float, principal_px: ArrayLike, sigma_px: float,
-    sigma_axis_rad: float,
+    sigma_axis_rad: ArrayLike,
 ) -> Array:  # fmt: skip
     """(N, 8, 8) what turns errors of corners (N, 4, 2) into errors of covariance one.
 
-    Each corner errs by `sigma_px` on its own; the axis' direction errs by `sigma_axis_rad` and
+    Each corner errs by `sigma_px` on its own; the axis' direction errs by `sigma_axis_rad` (N,) and
     moves all four at once, to the right by f (1 + x^2) and down by f x y, x and y being tangents.
     """
     x, y = np.moveaxis((corners_px - np.asarray(principal_px, float)) / focal_px, -1, 0)
     moved = focal_px * np.stack([1 + x**2, x * y], -1).reshape(len(corners_px), 8)
-    together = sigma_axis_rad**2 * moved[:, :, None] * moved[:, None, :]
+    moved *= np.asarray(sigma_axis_rad, float)[..., None]
+    together = moved[:, :, None] * moved[:, None, :]
     lower = np.linalg.cholesky(together + sigma_px**2 * np.eye(8))
     return np.asarray(np.linalg.inv(lower))
 

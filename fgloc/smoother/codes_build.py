@@ -3,11 +3,13 @@
 A sighting with corners is taken by these, one without by height, width and middle.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.constraints import LEAST_ERROR
 from fgloc.drive import Camera, Drive
 from fgloc.errors import DriveError
 from fgloc.factors.corners import sign_corners_m, whitening
@@ -21,11 +23,13 @@ from fgloc.verdicts import SourceVerdicts, Verdict
 
 START_READS = 10
 """Sightings that the start is the mean of, as in the documented filter."""
+SLOWEST_MPS = 0.1
+"""Velocities below this tell no course."""
 
 
 class _Seen(NamedTuple):
     """All sightings (M,) with what their signs, and how the camera is turned, make of them: range
-    in m with sigma, direction from East of the camera's axis and of the ray, in rad."""
+    in m with sigma, direction from East of the camera's axis with sigma and of the ray, in rad."""
 
     table: SmartCodeSightings
     camera: Camera
@@ -35,6 +39,7 @@ class _Seen(NamedTuple):
     range_m: Array
     sigma_m: Array
     axis_rad: Array
+    axis_sigma_rad: Array
     direction_rad: Array
     too_near: NDArray[np.bool_]
 
@@ -68,8 +73,20 @@ def build(drive: Drive, settings: CodeSettings, verdicts: SourceVerdicts) -> Cod
         epochs_ns, VelocitySteps.of(velocity, epochs_ns),
         tuple(one for one in sightings if len(one.at.row)), height_m, biases, sides,
         _start(seen, first, height_m),
-        int((table.t_ns[first[-1]] - epochs_ns[0]) // (epochs_ns[1] - epochs_ns[0])), settings,
+        int((table.t_ns[first[-1]] - epochs_ns[0]) // (epochs_ns[1] - epochs_ns[0])),
+        _stated(drive, settings),
     )  # fmt: skip
+
+
+def _stated(drive: Drive, settings: CodeSettings) -> CodeSettings:
+    """The settings with what the drive itself says of the velocities' lasting errors."""
+    stated = drive.rig.velocity_errors
+    if stated is None:
+        return settings
+    speed, heading = (
+        max(sigma, LEAST_ERROR) for sigma in (stated.scale_sigma, stated.heading_sigma_rad)
+    )
+    return replace(settings, speed_sigma=speed, heading_sigma_rad=heading)
 
 
 def _epochs(velocity: EnuVelocities, seen: SmartCodeSightings, settings: CodeSettings) -> Instants:
@@ -91,10 +108,11 @@ def _seen(
     found = locate(distances, place_m[:, 2] - camera.p_veh_cam_m[2], False)
     sigma = head_on_sigma_m(distances.height_m, size_m, camera.focal_px, settings.size_sigma_px)
     aside = np.arctan((table.centre_px[:, 0] - camera.principal_px[0]) / camera.focal_px)
-    axis = _heading_rad(velocity, table.t_ns, settings) + camera.yaw_rad
+    course, course_sigma = _course(velocity, table.t_ns, settings)
+    axis = course + camera.yaw_rad
     return _Seen(
         table, camera, signs, size_m, place_m, found.range_m,
-        np.abs(found.by_head_on[:, 0, 0]) * sigma, axis, axis - aside,
+        np.abs(found.by_head_on[:, 0, 0]) * sigma, axis, course_sigma, axis - aside,
         found.status == Reading.TOO_NEAR,
     )  # fmt: skip
 
@@ -120,11 +138,10 @@ def _by_size(seen: _Seen, at: Rows, settings: CodeSettings) -> BySize:
     sides = np.arctan(
         (off_px[:, None] + seen.table.width_px[:, None] * [0.5, -0.5]) / camera.focal_px
     )
-    direction_sigma = np.hypot(settings.heading_noise_rad,
-                               settings.corner_sigma_px / camera.focal_px)  # fmt: skip
+    direction_sigma = np.hypot(seen.axis_sigma_rad[row], settings.corner_sigma_px / camera.focal_px)
     return BySize(
         at, seen.place_m[row], np.array(to_left)[row], seen.range_m[row], seen.sigma_m[row],
-        seen.direction_rad[row], float(direction_sigma), (sides[:, 0] - sides[:, 1])[row],
+        seen.direction_rad[row], direction_sigma, (sides[:, 0] - sides[:, 1])[row],
         settings.size_sigma_px / camera.focal_px, settings.loss_width,
     )  # fmt: skip
 
@@ -134,7 +151,7 @@ def _by_corners(seen: _Seen, at: Rows, settings: CodeSettings) -> ByCorners:
     px, principal = seen.table.corners_px[row], camera.principal_px
     world = np.array([sign_corners_m(seen.signs[i]) for i in row]).reshape(-1, 4, 3)
     root = whitening(
-        px, camera.focal_px, principal, settings.corner_sigma_px, settings.heading_noise_rad
+        px, camera.focal_px, principal, settings.corner_sigma_px, seen.axis_sigma_rad[row]
     )
     return ByCorners(
         at, world, px, seen.axis_rad[row], root, camera.focal_px, principal,
@@ -142,15 +159,34 @@ def _by_corners(seen: _Seen, at: Rows, settings: CodeSettings) -> ByCorners:
     )  # fmt: skip
 
 
-def _heading_rad(velocity: EnuVelocities, t_ns: Instants, settings: CodeSettings) -> Array:
-    """Course (M,) from East by the velocities of half an interval about instants (M,)."""
+def _course(velocity: EnuVelocities, t_ns: Instants, settings: CodeSettings) -> tuple[Array, Array]:
+    """Course (M,) from East by the velocities of half an interval about instants (M,), and its
+    standard deviation (M,) in rad.
+
+    Sightings close to each other share velocities and with them an error, which is not new each
+    time: the variance of each is so much larger that the mean over all of them errs as it does.
+    """
     half_ns = seconds_to_ns(settings.interval_s / 2)
     sums = np.r_[np.zeros((1, 2)), np.cumsum(velocity.v_world_mps[:, :2], axis=0)]
     first = np.searchsorted(velocity.t_ns, t_ns - half_ns, side="left")
     stop = np.maximum(np.searchsorted(velocity.t_ns, t_ns + half_ns, side="right"), first + 1)
     first = np.minimum(first, len(velocity) - 1)
-    mean = sums[np.minimum(stop, len(velocity))] - sums[first]
-    return np.arctan2(mean[:, 1], mean[:, 0])
+    count = np.minimum(stop, len(velocity)) - first
+    mean = (sums[first + count] - sums[first]) / count[:, None]
+    speed = np.maximum(np.hypot(mean[:, 0], mean[:, 1]), SLOWEST_MPS)
+    sigma = velocity.sigma_mps[first] / speed * np.sqrt(_sharing(t_ns, settings.interval_s) / count)
+    return np.arctan2(mean[:, 1], mean[:, 0]), sigma
+
+
+def _sharing(t_ns: Instants, width_s: float) -> Array:
+    """(M,) of windows of a width about instants (M,): the sum of the parts that all the windows
+    have in common with each, which is 1 for one that stands alone."""
+    t_s, i = (t_ns - t_ns[0]) / 1e9, np.arange(len(t_ns))
+    sums = np.r_[0.0, np.cumsum(t_s)]
+    first, stop = np.searchsorted(t_s, t_s - width_s), np.searchsorted(t_s, t_s + width_s)
+    late_s = (i - first) * t_s - (sums[i] - sums[first])
+    early_s = sums[stop] - sums[i] - (stop - i) * t_s
+    return np.asarray(stop - first - (late_s + early_s) / width_s)
 
 
 def _start(seen: _Seen, first: NDArray[np.int64], height_m: float) -> Array:

@@ -24,6 +24,7 @@ from fgloc.timing import Instants
 class CodeSettings:
     """What the graph takes for granted; sigmas of the globals are of their priors.
 
+    speed_sigma, heading_sigma_rad  of their lasting errors, where the drive does not state them
     corner_sigma_px    of each corner: the reader's err by 0.14 px near and 0.34 px at the end of
                        its reach (rendered images)
     side_sigma         share of a code's side by which its record, the focal length or the reader
@@ -35,7 +36,6 @@ class CodeSettings:
     speed_sigma: float = 0.02
     heading_sigma_rad: float = 0.0125
     bias_sigma_m: float = 0.3
-    heading_noise_rad: float = 0.005
     corner_sigma_px: float = 0.2
     side_sigma: float = 0.005
     size_sigma_px: float = 0.4

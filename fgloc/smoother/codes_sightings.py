@@ -62,7 +62,7 @@ class BySize:
     range_m: Array
     range_sigma_m: Array
     direction_rad: Array
-    direction_sigma_rad: float
+    direction_sigma_rad: Array
     width_rad: Array
     width_sigma_rad: float
     loss_width: float
@@ -81,8 +81,8 @@ class BySize:
         by_globals = np.zeros((len(camera), self.size, len(globals_)))
         by_globals[np.arange(len(camera)), 0, own] = 1.0
         by_globals[:, 1, HEADING] = -1.0
-        angles = np.full((len(camera), 2), [self.direction_sigma_rad, self.width_sigma_rad])
-        root = 1 / np.c_[self.range_sigma_m[rows], angles]
+        wide_sigma = np.full(len(camera), self.width_sigma_rad)
+        root = 1 / np.c_[self.range_sigma_m[rows], self.direction_sigma_rad[rows], wide_sigma]
         error = np.stack([told.error[:, 0], off, wide], -1) * root
         return Told(error, by_camera * root[:, :, None], by_globals * root[:, :, None])
 
