@@ -5,10 +5,11 @@ the camera's yaw turn into the world's, and its width, which tells from how far 
 By corners: the four corners as the camera projects them, which say all of that and more exactly.
 
 What may be wrong with every sighting of a size of sign is a variable: by size a bias of the range,
-by corners a share by which the code's side differs from its record. The one has no place in the
-other: a bias of the range comes of how a reader counts whole pixels, which is no number of metres,
-while corners that lie apart by a wrong length put the sign too far in proportion to its distance.
-A wrong focal length does the same and goes into the same share.
+by corners a share by which the code's side differs from its record. A reader that counts whole
+pixels, or those of a box around the code, tells ranges that are off by about so many metres (the
+thesis finds just under 1 m). Corners do without that count; what is left is a side that is not as
+long as recorded or a focal length that is not as stated, and both put a sign too far in proportion
+to its distance.
 """
 
 from __future__ import annotations

@@ -79,8 +79,11 @@ def test_whitened_errors_of_many_draws_have_the_unit_covariance():
     rng, n = np.random.default_rng(4), 20_000
     sigma_px, sigma_rad = 0.3, 0.002
     true = seen_from(PLACE, AXIS)
-    drawn = np.array([seen_from(PLACE, AXIS + d) for d in sigma_rad * rng.standard_normal(n)])
-    errors = (drawn + sigma_px * rng.standard_normal(drawn.shape) - true).reshape(n, 8)
+    turned = residual(
+        np.tile(PLACE, (n, 1)), AXIS + sigma_rad * rng.standard_normal(n),
+        np.tile(sign_corners_m(SIGN), (n, 1, 1)), np.tile(true, (n, 1, 1)), FOCAL_PX, PRINCIPAL_PX,
+    )  # fmt: skip
+    errors = turned.error + sigma_px * rng.standard_normal((n, 8))
     root = whitening(true[None], FOCAL_PX, PRINCIPAL_PX, sigma_px, sigma_rad)[0]
     np.testing.assert_allclose(np.cov((errors @ root.T).T), np.eye(8), atol=0.05)
 
