@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from fgloc.datasets.code_columns import smart_codes_from_columns
 from fgloc.datasets.columns import Columns, Layout
 from fgloc.datasets.drive_tables import (
     LAYOUTS,
@@ -20,7 +21,6 @@ from fgloc.datasets.drive_tables import (
     origin_from_first_fix,
     ranges_from_columns,
     relative_from_columns,
-    smart_codes_from_columns,
     steering_from_columns,
     table_to_columns,
     users_from_columns,

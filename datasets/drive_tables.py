@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.datasets.code_columns import CODES, code_columns
 from fgloc.datasets.columns import Columns, Group, Layout, check_known, place
 from fgloc.datasets.post_columns import POSES, pose_columns
 from fgloc.datasets.trajectory_columns import (
@@ -48,8 +49,6 @@ GYRO = ("gyro_x_radps", "gyro_y_radps", "gyro_z_radps")
 RATES = ("speed_mps", "yaw_rate_radps", "sigma_speed_mps", "sigma_yaw_rate_radps")
 NAMES = ("node", "object_id", "kind")
 SEEN, SEEN_WORLD = ("x_m", "y_m"), ("east_m", "north_m")
-CODE_SIZE = ("height_px", "width_px")
-CORNERS = tuple(f"{axis}{i}_px" for i in range(4) for axis in "uv")
 RANGE = ("range_m", "sigma_m")
 SEEN_COVARIANCE = ("cov_xx_m2", "cov_xy_m2", "cov_yy_m2")
 PLANE_VELOCITY = ("v_east_mps", "v_north_mps")
@@ -88,7 +87,7 @@ LAYOUTS = {
             Group((PLANE_COVARIANCE, PLANE_SIGMA)),
         )
     ),
-    "smart_codes": Layout((*_TIME, Group.of("sign"), Group.of(*CODE_SIZE), Group.of(*CORNERS))),
+    "smart_codes": CODES,
     "ranges": Layout((*_TIME, Group.of("anchor"), Group.of(*RANGE))),
 }
 """Columns of each kind of table. `received_ns` left out means: received when it was true."""
@@ -133,9 +132,7 @@ def table_to_columns(table: Table) -> Columns:
         columns |= {"user_id": table.user_id} | unstack(SEEN_WORLD, table.p_world_m)
         return columns | unstack(PLANE_COVARIANCE, table.cov_m2[:, *np.triu_indices(2)])
     if isinstance(table, SmartCodeSightings):
-        names = ("sign", *CODE_SIZE)
-        corners = unstack(CORNERS, table.corners_px.reshape(-1, 8))
-        return columns | {name: getattr(table, name) for name in names} | corners
+        return columns | code_columns(table)
     if isinstance(table, Ranges):
         return columns | {name: getattr(table, name) for name in ("anchor", *RANGE)}
     raise DriveError(f"a drive folder has no file for a table of kind {table.KIND!r}")
@@ -264,21 +261,6 @@ def objects_from_columns(path: Path, columns: Columns) -> ObjectTruth:
     check_increasing(path, columns["t_ns"], duplicates=True)
     p, v = stack(columns, SEEN_WORLD), stack(columns, PLANE_VELOCITY)
     return ObjectTruth(*_times(columns), columns["object_id"], p, v)
-
-
-def smart_codes_from_columns(
-    path: Path, columns: Columns, infrastructure: Infrastructure
-) -> SmartCodeSightings:
-    """Smart Codes of a table read from `path`.
-
-    Raises DriveError naming the first row of a sign that the drive does not have, or of no size.
-    """
-    check_increasing(path, columns["t_ns"], duplicates=True)
-    check_known(path, columns, "sign", len(infrastructure.signs))
-    _check_positive(path, columns, CODE_SIZE, "a size")
-    corners = stack(columns, CORNERS).reshape(-1, 4, 2)
-    height_px, width_px = (columns[name] for name in CODE_SIZE)
-    return SmartCodeSightings(*_times(columns), columns["sign"], height_px, width_px, corners)
 
 
 def ranges_from_columns(path: Path, columns: Columns, infrastructure: Infrastructure) -> Ranges:

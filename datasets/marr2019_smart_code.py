@@ -9,16 +9,26 @@ The thesis does not print what follows, which is chosen: focal length, heights, 
 many pixels a cell needs to be read, and the noise of speed and heading.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.datasets.lane_motion import lane_motion
-from fgloc.datasets.marr2019_iea import HZ, ORIGIN, START_NS, VELOCITY_HZ, speed_and_heading
+from fgloc.datasets.marr2019_iea import (
+    HEADING_BIAS_RAD,
+    HZ,
+    ORIGIN,
+    SPEED_SCALE_SIGMA,
+    START_NS,
+    VELOCITY_HZ,
+    speed_and_heading,
+)
 from fgloc.datasets.simulator import Motion, instants, stream, truth_of
-from fgloc.drive import About, Camera, Drive, Rig
+from fgloc.drive import About, Camera, Drive, Rig, VelocityErrors
 from fgloc.errors import InputError, nearest
+from fgloc.factors.corners import code_size_px, sign_corners_m
 from fgloc.infrastructure import Infrastructure, Sign
 from fgloc.measurements import Array, GnssFixes, SmartCodeSightings
 from fgloc.timing import Instants, seconds_to_ns
@@ -53,7 +63,7 @@ class _View(NamedTuple):
 
 def make_marr2019_smart_code(
     seed: int = 0, path: str = "left", camera_yaw_deg: float = 30.0, corner_sigma_px: float = 0.15,
-    quantised: bool = True,
+    quantised: bool = True, corners: bool = False,
 ) -> Drive:  # fmt: skip
     """The drive of a seed: sightings at 30 Hz, speed and heading at 50 Hz, a fix a second.
 
@@ -61,6 +71,7 @@ def make_marr2019_smart_code(
     camera_yaw_deg   of the camera to the right, where the signs are
     corner_sigma_px  of each corner, to the side and down
     quantised        whether height and width are whole pixels, as in the thesis
+    corners          whether the corners are told too, which the thesis's reader does not
 
     The fixes are there so that the graph may start; the thesis's filter does not use them. Raises
     InputError for an unknown path, a yaw from 90 deg or a sigma below 0.
@@ -76,10 +87,14 @@ def make_marr2019_smart_code(
     }
     frames = smart_code_motion(path, FRAME_HZ)
     seen = sightings(frames, camera, corner_sigma_px, quantised, stream(seed, "codes"))
+    if not corners:
+        seen = replace(seen, corners_px=np.full_like(seen.corners_px, np.nan))
     if len(seen):
         tables["smart_codes"] = seen
-    rig, truth = Rig(camera=camera), truth_of(motion.every(HZ // VELOCITY_HZ))
-    about = _about(seed, path, camera_yaw_deg, corner_sigma_px, quantised)
+    lasting = VelocityErrors(SPEED_SCALE_SIGMA, HEADING_BIAS_RAD)
+    rig = Rig(camera=camera, velocity_errors=lasting)
+    truth = truth_of(motion.every(HZ // VELOCITY_HZ))
+    about = _about(seed, path, camera_yaw_deg, corner_sigma_px, quantised, corners)
     beside = Infrastructure(signs=SIGNS)
     return Drive("marr2019/smart-code", ORIGIN, rig, tables, truth, about, beside)
 
@@ -95,7 +110,7 @@ def sightings(
     frames: Motion, camera: Camera, corner_sigma_px: float, quantised: bool,
     rng: np.random.Generator,
 ) -> SmartCodeSightings:  # fmt: skip
-    """What the camera reads of all signs, in the order of time."""
+    """What the camera reads of all signs, in the order of time, with corners."""
     parts = []
     for i, sign in enumerate(SIGNS):
         view = _view(frames, camera, sign)
@@ -109,31 +124,15 @@ def sightings(
     if quantised:
         height_px, width_px = np.rint(height_px), np.rint(width_px)
     received_ns = t_ns + seconds_to_ns(LATENCY_S)
-    return SmartCodeSightings(t_ns, received_ns, number[order], height_px, width_px, corners)
-
-
-def code_size_px(corners_px: Array) -> tuple[Array, Array]:
-    """Height and width (N,) of corners (N, 4, 2): mean height of the upright sides, mean width of
-    the level ones.
-
-    Not of the box around them: seen by a camera that looks aside, the level sides slant, and the
-    box is higher than the code by as much as shortens any distance by dz times the sine of the yaw.
-    """
-    upper_left, upper_right, lower_right, lower_left = corners_px.swapaxes(0, 1)
-    height_px = (lower_left + lower_right - upper_left - upper_right)[:, 1] / 2
-    width_px = (upper_right + lower_right - upper_left - lower_left)[:, 0] / 2
-    return height_px, width_px
+    return SmartCodeSightings(
+        t_ns, received_ns, number[order], height_px, width_px, corners.mean(1), corners
+    )
 
 
 def corners_in_camera(frames: Motion, camera: Camera, sign: Sign) -> Array:
     """A code's corners (N, 4, 3) in m along the camera's axes: right, down, ahead."""
-    half = sign.size_m / 2
-    # Seen from in front of its face, the code's left lies to the left of its normal's right.
-    on_sign = np.array([[0, half, half], [0, -half, half], [0, -half, -half], [0, half, -half]])
-    c, s = np.cos(sign.normal_yaw_rad), np.sin(sign.normal_yaw_rad)
-    R_world_sign = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    corners_world = sign.p_world_m + on_sign * [1, -1, 1] @ R_world_sign.T
-    in_veh = (corners_world - frames.p_world_m[:, None]) @ frames.R_world_veh - camera.p_veh_cam_m
+    ray = sign_corners_m(sign) - frames.p_world_m[:, None]
+    in_veh = ray @ frames.R_world_veh - camera.p_veh_cam_m
     c, s = np.cos(camera.yaw_rad), np.sin(camera.yaw_rad)
     ahead = in_veh[..., 0] * c + in_veh[..., 1] * s
     right = in_veh[..., 0] * s - in_veh[..., 1] * c
@@ -172,13 +171,15 @@ def _check(path: str, camera_yaw_deg: float, corner_sigma_px: float) -> None:
         raise InputError(f"corner_sigma_px = {corner_sigma_px}: expected a number from 0")
 
 
-def _about(seed: int, path: str, yaw_deg: float, sigma_px: float, quantised: bool) -> About:
+def _about(
+    seed: int, path: str, yaw_deg: float, sigma_px: float, quantised: bool, corners: bool
+) -> About:
     return About(
         title=f"Simulated drive up to three Smart Codes, {path} path, camera at {yaw_deg:g} deg, "
         f"seed {seed}",
         licence="MIT",
         source=f"fgloc scenario marr2019/smart-code, seed {seed}, path {path}, camera_yaw_deg "
-        f"{yaw_deg:g}, corner_sigma_px {sigma_px:g}, quantised {str(quantised).lower()}; after "
-        "T. S. Marr (2019)",
+        f"{yaw_deg:g}, corner_sigma_px {sigma_px:g}, quantised {str(quantised).lower()}, corners "
+        f"{str(corners).lower()}; after T. S. Marr (2019)",
         simulated=True,
     )

@@ -91,7 +91,7 @@ _INFOS = (
     ),
     DatasetInfo(
         "marr2019/smart-code", "scenario", 11.1, ("gnss", "velocity", "smart_codes"), "MIT",
-        "a camera reads three signs (Marr 2019); options path, camera_yaw_deg, quantised, ...",
+        "a camera reads three signs (Marr 2019); options path, camera_yaw_deg, corners, ...",
     ),
     DatasetInfo(
         "comma2k19", "real", 60.0, ("gnss", "imu", "wheel", "steering"), "MIT",

@@ -57,6 +57,7 @@ class Table:
     KIND: ClassVar[str]
     SHAPES: ClassVar[dict[str, tuple[int, ...]]]
     WHOLE: ClassVar[frozenset[str]] = frozenset()  # columns of whole numbers
+    OPTIONAL: ClassVar[frozenset[str]] = frozenset()  # columns with NaN where nothing was told
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -221,6 +222,7 @@ class NodeDetections(Table):
 
     KIND = "detections"
     WHOLE = frozenset({"node", "object_id", "kind"})
+    OPTIONAL = frozenset({"cov_node_m2"})
     SHAPES: ClassVar = {
         "node": (), "object_id": (), "kind": (), "p_node_m": (2,), "cov_node_m2": (2, 2),
     }  # fmt: skip
@@ -303,6 +305,7 @@ class NodePoses(Table):
 
     KIND = "node_poses"
     WHOLE = frozenset({"node"})
+    OPTIONAL = frozenset({"tilt_rad", "sigma_tilt_rad"})
     SHAPES: ClassVar = {
         "node": (), "p_node_m": (2,), "tilt_rad": (2,), "sigma_p_m": (2,), "sigma_tilt_rad": (2,),
     }  # fmt: skip
@@ -337,22 +340,40 @@ class SmartCodeSightings(Table):
     sign        (N,) number of the sign among the drive's signs, from 0
     height_px   (N,) of the code in the image, as its reader states it
     width_px    (N,) likewise
-    corners_px  (N, 4, 2) right and down in px, from the upper left corner clockwise
+    centre_px   (N, 2) its middle, right and down in px
+    corners_px  (N, 4, 2) likewise, clockwise from the upper left corner as the code is printed;
+                NaN in all eight where the reader gave none
+
+    Raises DriveError where a row has some numbers of its corners and not all.
     """
 
     sign: NDArray[np.int64]
     height_px: Array
     width_px: Array
+    centre_px: Array
     corners_px: Array
 
     KIND = "smart_codes"
     WHOLE = frozenset({"sign"})
-    SHAPES: ClassVar = {"sign": (), "height_px": (), "width_px": (), "corners_px": (4, 2)}
+    OPTIONAL = frozenset({"corners_px"})
+    SHAPES: ClassVar = {
+        "sign": (), "height_px": (), "width_px": (), "centre_px": (2,), "corners_px": (4, 2),
+    }  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        partly = ~self.has_corners & ~np.isnan(self.corners_px).all((1, 2))
+        if partly.any():
+            row = int(np.argmax(partly))
+            raise DriveError(
+                f"{self.KIND} row {row}: corners_px = {self.corners_px[row].tolist()}; give all "
+                "four corners as finite numbers, or NaN for all"
+            )
 
     @property
-    def centre_px(self) -> Array:
-        """(N, 2) mean of the corners."""
-        return self.corners_px.mean(1)
+    def has_corners(self) -> NDArray[np.bool_]:
+        """(N,) of which sightings the reader gave the corners."""
+        return np.asarray(np.isfinite(self.corners_px).all((1, 2)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -160,6 +160,7 @@ SIGN = (
     "normal_yaw_rad = 0\nsize_m = 0.5588\n"
 )
 CODES = "t_ns,sign,height_px,width_px,u0_px,v0_px,u1_px,v1_px,u2_px,v2_px,u3_px,v3_px\n"
+MIDDLES = CODES.replace("u0_px", "u_px,v_px,u0_px")
 ANCHOR = '[[anchor]]\nname = "a1"\np_world_m = [1, 2, 3]\n'
 RANGES = "t_ns,anchor,range_m,sigma_m\n"
 
@@ -186,12 +187,35 @@ def test_an_anchor_has_a_place():
         Anchor("a1", np.zeros(2))
 
 
+def test_corners_alone_tell_the_middle_and_a_middle_does_without_corners(tmp_path):
+    (tmp_path / "drive.toml").write_text(TOML + SIGN)
+    path = tmp_path / "smart_codes.csv"
+    path.write_text(CODES + "1,0,9,9,0,0,9,0,9,9,0,9\n")
+    np.testing.assert_array_equal(
+        read_drive(tmp_path).tables["smart_codes"].centre_px, [[4.5, 4.5]]
+    )
+    path.write_text(MIDDLES + "1,0,9,9,5,6,0,0,9,0,9,9,0,9\n2,0,9,9,7,8,,,,,,,,\n")
+    both = read_drive(tmp_path).tables["smart_codes"]
+    np.testing.assert_array_equal(both.centre_px, [[5, 6], [7, 8]])
+    assert both.has_corners.tolist() == [True, False]
+    path.write_text("t_ns,sign,height_px,width_px,u_px,v_px\n1,0,9,9,5,6\n")
+    assert not read_drive(tmp_path).tables["smart_codes"].has_corners.any()
+
+
 @pytest.mark.parametrize(
     ("name", "rows", "says"),
     [
         ("smart_codes", CODES + "1,0,9,9,0,0,9,0,9,9,0,9\n2,1,9,9,0,0,9,0,9,9,0,9\n",
          r"smart_codes.csv:3: sign = 1, but drive.toml has 1 \[\[sign\]\]"),
         ("smart_codes", CODES + "1,0,0,9,0,0,9,0,9,9,0,9\n", "height_px = 0.0; a size must be"),
+        ("smart_codes", CODES + "1,0,9,9,0,0,9,0,9,9,0,\n",
+         "smart_codes.csv:2: v3_px is empty but other corners are not; give all four"),
+        ("smart_codes", CODES + "1,0,9,9,,,,,,,,\n",
+         "smart_codes.csv:2: neither the code's middle nor its corners; give u_px,v_px in every"),
+        ("smart_codes", MIDDLES + "1,0,9,9,,5,,,,,,,,\n",
+         "smart_codes.csv:2: u_px = '' is not a number"),
+        ("smart_codes", CODES + "1,0,9,9,0,9,9,9,9,0,0,0\n",
+         "smart_codes.csv:2: the corners .* give them clockwise from the upper left one"),
         ("ranges", RANGES + "1,3,2.0,0.1\n", "ranges.csv:2: anchor = 3, but drive.toml has 1"),
         ("ranges", RANGES + "1,0,-2.0,0.1\n", "range_m = -2.0; a distance must be above 0"),
         ("ranges", RANGES + "1,0,2.0,0\n", "sigma_m = 0.0; a standard deviation must be above 0"),

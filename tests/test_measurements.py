@@ -1,5 +1,7 @@
 """Tables: what does not fit is refused, and nobody can change what is in one."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,17 @@ def test_lists_become_arrays_of_the_right_type():
     table = wheel(t_ns=[1, 2], speed_mps=[3, 4])
     assert (table.t_ns.dtype, table.speed_mps.dtype) == (np.int64, np.float64)
     assert len(table) == 2
+
+
+def test_a_code_has_all_four_corners_or_none():
+    corners = np.full((3, 4, 2), np.nan)
+    corners[1] = [[0, 0], [9, 0], [9, 9], [0, 9]]
+    t_ns, size = np.arange(3), np.full(3, 9.0)
+    codes = SmartCodeSightings(t_ns, t_ns, [0, 0, 0], size, size, np.ones((3, 2)), corners)
+    assert codes.take([1, 2]).has_corners.tolist() == [True, False]
+    corners[2, 3, 1] = 4.0
+    with pytest.raises(DriveError, match=r"smart_codes row 2: corners_px .*or NaN for all"):
+        dataclasses.replace(codes, corners_px=corners)
 
 
 def test_time_that_goes_back_is_refused_with_row_and_step():

@@ -235,10 +235,12 @@ def usual_interval_s(table: Table) -> float:
 
 
 def values_of(table: Table) -> Array:
-    """What a table measures (N, m); of fixes the position, since a receiver need not say more."""
+    """What a table measures (N, m), without what it need not tell; of fixes the position, since a
+    receiver need not say more."""
     if isinstance(table, GnssFixes):
         return table.p_world_ant_m
-    columns = [getattr(table, f.name) for f in fields(table) if f.name not in STAMPS]
+    apart = {*STAMPS, *table.OPTIONAL}
+    columns = [getattr(table, f.name) for f in fields(table) if f.name not in apart]
     return np.column_stack([column.reshape(len(table), column[:1].size or 1) for column in columns])
 
 

@@ -1,38 +1,28 @@
 """The graph of a drive that reads Smart Codes and tells its velocity: whole, or over a fixed lag.
 
 Fixes, where there are any, are not used: like the documented filter it lives on signs alone. Errors
-of speed and heading are variables, and a bias of the ranges to each size of sign.
+of speed and heading are variables, and for each size of sign a bias of the ranges to it, or where
+the corners are told a share of its side.
 """
 
 from dataclasses import asdict
 
 import numpy as np
 
-from fgloc.drive import Camera, Drive
-from fgloc.errors import DriveError
+from fgloc.drive import Drive
 from fgloc.factors.noise import weight
-from fgloc.factors.smart_code import Reading, head_on, head_on_sigma_m, locate
-from fgloc.measurements import Array, EnuVelocities, SmartCodeSightings
+from fgloc.measurements import Array
 from fgloc.result import Result
-from fgloc.smoother.codes_model import (
-    BIASES,
-    HEADING,
-    SPEED,
-    CodeModel,
-    CodeSettings,
-    Sightings,
-    VelocitySteps,
-)
+from fgloc.smoother.codes_build import build
+from fgloc.smoother.codes_model import CodeModel, CodeSettings
+from fgloc.smoother.codes_sightings import BIASES, HEADING, SPEED
 from fgloc.smoother.ranges_lag import run_lag
 from fgloc.smoother.ranges_solve import covariances
 from fgloc.smoother.ranges_start import optimize, with_priors
-from fgloc.timing import Instants, seconds_to_ns
 from fgloc.trajectory import Trajectory
 from fgloc.verdicts import SourceVerdicts, Verdict, counts
 
 SETTINGS = CodeSettings()
-START_READS = 10
-"""Sightings that the start is the mean of, as in the documented filter."""
 UNKNOWN_RAD2, UNKNOWN_M2, DOWN_WEIGHTED = np.pi**2 / 3, 1.0, 0.25
 
 
@@ -51,7 +41,7 @@ def smooth_codes(
     }
     model = build(drive, settings, verdicts["smart_codes"])
     verdicts["velocity"].set(slice(None), Verdict.USED)
-    states, globals_, _ = optimize(model, _first_path(model), model.prior[0])
+    states, globals_, _ = optimize(model, model.first_path(), model.prior[0])
     online = run_lag(model, states, globals_, lag_s or float("1e9"))
     if lag_s is None:
         states, globals_, _ = optimize(model, online.last, online.globals_)
@@ -68,101 +58,20 @@ def smooth_codes(
         "method": method,
         "mode": mode["mode"],
         "states": len(trajectory),
-        "factors": 3 * len(model.seen.row) + len(model.epochs_ns) - 1,
+        "factors": sum(one.size * len(one.at.row) for one in model.sightings)
+        + len(model.epochs_ns)
+        - 1,
         "counts": counts(verdicts),
         "origin": asdict(drive.origin),
         "duration_s": float(trajectory.t_ns[-1] - trajectory.t_ns[0]) / 1e9,
         "codes": {
             "speed_scale": float(1 + globals_[SPEED]),
             "heading_error_rad": float(globals_[HEADING]),
-            "range_bias_m": globals_[BIASES:].tolist(),
+            "range_bias_m": globals_[BIASES : BIASES + model.biases].tolist(),
+            "side_share": globals_[BIASES + model.biases :].tolist(),
         },
     }
     return Result(trajectory, verdicts, summary, method, causal=lag_s is not None, config=mode)
-
-
-def build(drive: Drive, settings: CodeSettings, verdicts: SourceVerdicts) -> CodeModel:
-    """The model of a drive; each sighting that cannot be part of it gets its verdict."""
-    velocity, seen = drive.tables.get("velocity"), drive.tables.get("smart_codes")
-    if not isinstance(velocity, EnuVelocities) or not isinstance(seen, SmartCodeSightings):
-        raise DriveError(f"drive {drive.name!r} needs both velocity and smart_codes tables")
-    if drive.rig.camera is None:
-        raise DriveError(f"drive {drive.name!r} has no [rig.camera]; Smart Codes need its geometry")
-    epochs_ns = _epochs(velocity, seen, settings)
-    sightings = _sightings(drive, drive.rig.camera, seen, velocity, epochs_ns, settings, verdicts)
-    if len(sightings.row) < START_READS:
-        raise DriveError(
-            f"drive {drive.name!r}: {len(sightings.row)} Smart Codes tell a range; the graph "
-            f"starts from {START_READS}"
-        )
-    first_row = np.searchsorted(sightings.epoch, np.arange(len(epochs_ns)))
-    return CodeModel(
-        epochs_ns, VelocitySteps.of(velocity, epochs_ns), sightings, first_row,
-        float(drive.rig.camera.p_veh_cam_m[2]), int(sightings.kind.max()) + 1, settings,
-    )  # fmt: skip
-
-
-def _epochs(velocity: EnuVelocities, seen: SmartCodeSightings, settings: CodeSettings) -> Instants:
-    """Even instants from the first sighting to the end of the velocities."""
-    step_ns = seconds_to_ns(settings.interval_s)
-    first, last = int(seen.t_ns[0]), max(int(velocity.t_ns[-1]), int(seen.t_ns[-1]))
-    return first + np.arange((last - first) // step_ns + 2, dtype=np.int64) * step_ns
-
-
-def _sightings(
-    drive: Drive, camera: Camera, seen: SmartCodeSightings, velocity: EnuVelocities,
-    epochs_ns: Instants, settings: CodeSettings, verdicts: SourceVerdicts,
-) -> Sightings:  # fmt: skip
-    signs = [drive.infrastructure.signs[i] for i in seen.sign]
-    size_m = np.array([sign.size_m for sign in signs])
-    place_m = np.array([sign.p_world_m for sign in signs])
-    distances = head_on(seen.height_px, seen.width_px, seen.centre_px, size_m, camera.focal_px,
-                        camera.principal_px)  # fmt: skip
-    found = locate(distances, place_m[:, 2] - camera.p_veh_cam_m[2], False)
-    near = found.status == Reading.TOO_NEAR
-    verdicts.set(near, Verdict.UNUSED, Reading.TOO_NEAR.text)
-    row = np.flatnonzero(~near)
-    sigma = head_on_sigma_m(distances.height_m, size_m, camera.focal_px, settings.size_sigma_px)
-    aside = np.arctan((seen.centre_px[:, 0] - camera.principal_px[0]) / camera.focal_px)
-    direction = _heading_rad(velocity, seen.t_ns, settings) + camera.yaw_rad - aside
-    step_ns = int(epochs_ns[1] - epochs_ns[0])
-    epoch = (seen.t_ns - epochs_ns[0]) // step_ns
-    _, kind = np.unique(-size_m, return_inverse=True)
-    told = np.abs(found.by_head_on[:, 0, 0]) * sigma
-    direction_sigma = np.hypot(settings.heading_noise_rad,
-                               settings.corner_sigma_px / camera.focal_px)  # fmt: skip
-    to_left = np.array([-sign.size_m / 2 * sign.R_world_sign[:, 1] for sign in signs])
-    off_px = seen.centre_px[:, 0] - camera.principal_px[0]
-    sides = np.arctan((off_px[:, None] + seen.width_px[:, None] * [0.5, -0.5]) / camera.focal_px)
-    share = (seen.t_ns - epochs_ns[epoch]) / step_ns
-    return Sightings(
-        epoch[row], share[row], place_m[row], to_left[row], kind[row],
-        found.range_m[row], told[row], direction[row], float(direction_sigma),
-        (sides[:, 0] - sides[:, 1])[row], settings.size_sigma_px / camera.focal_px, row,
-    )  # fmt: skip
-
-
-def _heading_rad(velocity: EnuVelocities, t_ns: Instants, settings: CodeSettings) -> Array:
-    """Course (M,) from East by the velocities of half an interval about instants (M,)."""
-    half_ns = seconds_to_ns(settings.interval_s / 2)
-    sums = np.r_[np.zeros((1, 2)), np.cumsum(velocity.v_world_mps[:, :2], axis=0)]
-    first = np.searchsorted(velocity.t_ns, t_ns - half_ns, side="left")
-    stop = np.maximum(np.searchsorted(velocity.t_ns, t_ns + half_ns, side="right"), first + 1)
-    first = np.minimum(first, len(velocity) - 1)
-    mean = sums[np.minimum(stop, len(velocity))] - sums[first]
-    return np.arctan2(mean[:, 1], mean[:, 0])
-
-
-def _first_path(model: CodeModel) -> Array:
-    """States (n, 2) over the first ten sightings, from where range and direction put the camera."""
-    seen, first = model.seen, slice(0, START_READS)
-    above = seen.place_m[first, 2] - model.height_m
-    level = np.sqrt(np.maximum(seen.range_m[first] ** 2 - above**2, 0))[:, None]
-    ray = np.stack([np.cos(seen.direction_rad[first]), np.sin(seen.direction_rad[first])], -1)
-    path = [np.mean(seen.place_m[first, :2] - level * ray, axis=0)]
-    for k in range(int(seen.epoch[START_READS - 1]) + 1):
-        path.append(model.motion.predict(path[-1], model.prior[0], k))
-    return np.array(path)
 
 
 def _trajectory(
@@ -181,7 +90,9 @@ def _trajectory(
 
 def _judge(model: CodeModel, states: Array, globals_: Array, verdicts: SourceVerdicts) -> None:
     """Verdicts on the sightings by what the loss made of them at the end."""
-    norm = np.linalg.norm(model.errors(states, globals_, 0, slice(None)).error, axis=1)
-    doubted = weight(norm, "cauchy", model.settings.loss_width) < DOWN_WEIGHTED
-    verdicts.set(model.seen.row, Verdict.USED)
-    verdicts.set(model.seen.row[doubted], Verdict.DOWN_WEIGHTED, "far from what all others say")
+    for seen in model.sightings:
+        error = model.errors(seen, states, globals_, 0, slice(None)).error
+        norm = np.linalg.norm(error, axis=1)
+        doubted = weight(norm, "cauchy", seen.loss_width) < DOWN_WEIGHTED
+        verdicts.set(seen.at.row, Verdict.USED)
+        verdicts.set(seen.at.row[doubted], Verdict.DOWN_WEIGHTED, "far from what all others say")

@@ -154,9 +154,11 @@ def roadside(rng: np.random.Generator, n: int = 5) -> dict:
     tilt[1], sigma_tilt[1] = np.nan, np.nan
     poses = NodePoses(t_ns, t_ns + 5, np.arange(n) % 2, rng.standard_normal((n, 2)), tilt,
                       rng.uniform(0.1, 1, (n, 2)), sigma_tilt)  # fmt: skip
+    corners = [[0, 0], [50, 0], [50, 50], [0, 50]] + rng.uniform(0, 20, (n, 4, 2))
+    corners[3] = np.nan
     codes = SmartCodeSightings(
         t_ns, t_ns + 5, np.arange(n) % 2, rng.uniform(9, 99, n), rng.uniform(9, 99, n),
-        rng.uniform(0, 2000, (n, 4, 2)),
+        rng.uniform(0, 2000, (n, 2)), corners,
     )  # fmt: skip
     ranges = Ranges(t_ns, t_ns, np.zeros(n), rng.uniform(1, 50, n), rng.uniform(0.1, 1, n))
     return {

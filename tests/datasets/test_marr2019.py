@@ -1,5 +1,7 @@
 """The scenarios of Marr (2019): what is seen fits the truth, and errors grow as the thesis says."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -97,7 +99,11 @@ def test_the_calibration_drive_is_not_that_of_another_seed_or_camera():
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("marr2019/iea", {"calibration_passes": 4}), ("marr2019/smart-code", {"path": "near"})],
+    [
+        ("marr2019/iea", {"calibration_passes": 4}),
+        ("marr2019/smart-code", {"path": "near"}),
+        ("marr2019/smart-code", {"corners": True}),
+    ],
 )
 def test_a_drive_is_the_same_from_its_seed_and_after_a_folder(tmp_path, name, options):
     drive = make(name, 5, **options)
@@ -163,6 +169,18 @@ def test_whole_pixels_lay_far_positions_on_a_few_straight_lines():
     assert set(lines) <= {-1, 0, 1, 2}
     assert np.unique(make("marr2019/smart-code", 0, path="near", camera_yaw_deg=0.0,
                           quantised=False).tables["smart_codes"].width_px).size > 100  # fmt: skip
+
+
+def test_corners_are_told_where_asked_for_and_change_nothing_else():
+    plain, cornered = (make("marr2019/smart-code", 3, corners=told).tables["smart_codes"]
+                       for told in (False, True))  # fmt: skip
+    assert not plain.has_corners.any()
+    assert cornered.has_corners.all()
+    assert plain.same_as(dataclasses.replace(cornered, corners_px=plain.corners_px))
+    np.testing.assert_allclose(cornered.centre_px, cornered.corners_px.mean(1))
+    true = make("marr2019/smart-code", 3, corners=True, corner_sigma_px=0.0).tables["smart_codes"]
+    # Noise may end the reading a frame earlier or later, but not of what is read in both.
+    assert np.std(cornered.corners_px - true.corners_px) == pytest.approx(0.15, rel=0.05)
 
 
 def test_small_signs_are_read_less_far_than_the_large_one():

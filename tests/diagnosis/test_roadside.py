@@ -1,5 +1,7 @@
 """What the doctor says of drives with signs, anchors and nodes."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -21,3 +23,21 @@ def test_one_sign_read_twice_at_one_instant_is_one():
     codes = drive.tables["smart_codes"]
     twice = codes.take(np.r_[0, np.arange(len(codes))])
     assert ("duplicate", "smart_codes") in kinds(drive.with_tables(smart_codes=twice))
+
+
+def test_codes_without_corners_are_no_fault_but_without_a_size_they_are():
+    codes = make("marr2019/smart-code", 0).tables["smart_codes"]
+    assert not codes.has_corners.any()
+    height_px = codes.height_px.copy()
+    height_px[4] = np.nan
+    broken = dataclasses.replace(codes, height_px=height_px)
+    one = make("marr2019/smart-code", 0)
+    assert ("not-finite", "smart_codes") not in kinds(one)
+    assert ("not-finite", "smart_codes") in kinds(one.with_tables(smart_codes=broken))
+
+
+def test_a_node_that_states_no_covariance_is_no_fault():
+    drive = make("marr2019/iea", 0)
+    seen = drive.tables["detections"]
+    silent = dataclasses.replace(seen, cov_node_m2=np.full_like(seen.cov_node_m2, np.nan))
+    assert ("not-finite", "detections") not in kinds(drive.with_tables(detections=silent))

@@ -7,11 +7,14 @@ import pytest
 
 import fgloc
 from fgloc.baselines.marr2019_smart_code import run as run_filter
+from fgloc.constraints import LEAST_ERROR
 from fgloc.datasets.registry import make
+from fgloc.drive import VelocityErrors
 from fgloc.errors import DriveError, InputError
 from fgloc.measurements import EnuVelocities
-from fgloc.smoother.codes import SETTINGS, build, smooth_codes
-from fgloc.smoother.codes_model import BIASES
+from fgloc.smoother.codes import SETTINGS, smooth_codes
+from fgloc.smoother.codes_build import build
+from fgloc.smoother.codes_sightings import BIASES
 from fgloc.verdicts import SourceVerdicts
 
 
@@ -42,6 +45,39 @@ def test_gradients_are_the_differences_of_the_cost():
     told = np.r_[blocks.gradient.ravel(), blocks.gradient_globals]
     found = np.array([(cost_at(s) - cost_at(-s)) / 2e-6 for s in np.eye(len(told)) * 1e-6])
     np.testing.assert_allclose(told, found, rtol=1e-4, atol=1e-5 * np.abs(told).max())
+
+
+def direction_sigma_rad(one, rows) -> np.ndarray:
+    """As the graph has it, of some rows of the sightings, seen without noise of the pixels."""
+    one = one.with_tables(smart_codes=one.tables["smart_codes"].take(rows))
+    settings = dataclasses.replace(SETTINGS, corner_sigma_px=0.0)
+    model = build(one, settings, SourceVerdicts.of("smart_codes", one.tables["smart_codes"]))
+    return model.sightings[0].direction_sigma_rad
+
+
+def test_an_error_of_the_course_that_sightings_share_is_not_new_each_time():
+    one = drive()
+    codes, told = one.tables["smart_codes"], one.tables["velocity"]
+    large = np.flatnonzero(codes.sign == 0)
+    apart, at_once = large[: 12 * 15 : 15], np.repeat(large[30], 12)
+    near = np.abs(codes.t_ns[apart][:, None] - told.t_ns) <= 100_000_000
+    alone = told.sigma_mps[0] / 4.5 / np.sqrt(near.sum(1))
+    np.testing.assert_allclose(direction_sigma_rad(one, apart), alone, rtol=0.04)
+    np.testing.assert_allclose(direction_sigma_rad(one, at_once), alone[2] * np.sqrt(12), rtol=0.04)
+    # A window of 0.2 s shares 5/6 of itself with that of the next frame, 4/6 with the one after.
+    third = direction_sigma_rad(one, large[:60])[30]
+    assert third == pytest.approx(alone[2] * np.sqrt(6), rel=0.04)
+
+
+def test_the_drive_states_how_far_its_velocities_may_err_and_nothing_is_taken_for_zero():
+    one = drive()
+    for stated, sigma in (((0.01, 0.02), (0.01, 0.02)), ((0.0, 0.0), (LEAST_ERROR, LEAST_ERROR))):
+        rig = dataclasses.replace(one.rig, velocity_errors=VelocityErrors(*stated))
+        other = dataclasses.replace(one, rig=rig)
+        model = build(other, SETTINGS, SourceVerdicts.of("smart_codes", one.tables["smart_codes"]))
+        np.testing.assert_allclose(model.prior[1][:2], sigma)
+    silent = dataclasses.replace(one, rig=dataclasses.replace(one.rig, velocity_errors=None))
+    assert smooth_codes(silent).summary["codes"]["speed_scale"] == pytest.approx(1, abs=0.05)
 
 
 def test_without_noise_the_camera_is_found():
