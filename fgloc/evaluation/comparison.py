@@ -166,7 +166,7 @@ class Comparison:
         return [
             standing
             for name, of_all in found.items()
-            if name == WHOLE or any(x is not None for one in of_all for x in one.averages.values())
+            if name == WHOLE or any(x.n for one in of_all for x in one.averages.values())
             for standing in of_all
         ]
 
