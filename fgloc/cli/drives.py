@@ -86,8 +86,8 @@ def import_drive(
 ) -> None:  # fmt: skip
     """Turn a recording into a drive folder.
 
-    fgloc datasets lists the formats, the README their options. What cannot be used is left out
-    and counted.
+    fgloc datasets lists the formats, datasets/README.md their options. What cannot be used is left
+    out and counted.
     """
     from fgloc.datasets import import_recording
 

@@ -19,7 +19,7 @@ Examples:
   fgloc perceive recording --out drive
   fgloc perceive recording --detector onnx --onnx yolo.onnx --out drive
   fgloc perceive recording --method camera --set place.point=centre --out drive
-A recording is a folder with a recording.toml; see the README.
+A recording is a folder with a recording.toml; see datasets/README.md.
 """
 
 

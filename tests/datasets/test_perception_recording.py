@@ -187,7 +187,7 @@ def test_missing_parts_and_full_folders_are_told(folder, tmp_path):
 
 
 def test_the_recording_that_the_readme_shows_is_one(tmp_path):
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    readme = (Path(__file__).parents[2] / "datasets/README.md").read_text(encoding="utf-8")
     shown = next(part for part in readme.split("```toml")[1:] if "[[head]]" in part)
     (tmp_path / "recording.toml").write_text(shown.split("```")[0])
     for sensor, file in (("north-camera", "a.png"), ("north-lidar", "a.npz")):
