@@ -58,6 +58,7 @@ class Band:
         self.panels = _panels(self._columns, n)
         self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
+        self._lowest = n  # nothing has been added to the blocks before this one
 
     def add(
         self, blocks: NDArray[np.int64], at: NDArray[np.int64], J: Array, gradient: Array
@@ -68,21 +69,48 @@ class Band:
         `at` (up to q,), increasing; they are counted from the start of the block, and on into the
         next block from d on. If q is more, the rest are the border's k.
         """
-        # As a stack of its own: numpy's product of a mere view takes several times as long.
-        back = np.ascontiguousarray(J.swapaxes(-1, -2))
         d, m = self.gradient.blocks.shape[1], len(at)
         here, after = _span(blocks), _span(blocks + 1)
+        untouched = self._touched(blocks)
         for own, first, squares in _pieces(tuple(at.tolist()), d):
             rows = here if first < d else after
             place = slice(first % d, first % d + own.stop - own.start)
+            # A stack of its own: numpy takes much longer for a matrix times itself.
+            back = J[:, :, own].copy().swapaxes(-1, -2)
             for other, further in squares:
-                self.panels[rows, place, further] += back[:, own] @ J[:, :, other]
+                if untouched and first < d:  # what is all zeros need not be read again
+                    np.matmul(back, J[:, :, other], out=self.panels[rows, place, further])
+                else:
+                    self.panels[rows, place, further] += back @ J[:, :, other]
             self.gradient.blocks[rows, place] += gradient[:, own]
             if m < J.shape[2]:
-                self.border[rows, place] += back[:, own] @ J[:, :, m:]
+                self.border[rows, place] += back @ J[:, :, m:]
         if m < J.shape[2]:
-            self.corner += (back[:, m:] @ J[:, :, m:]).sum(0)
+            self.corner += (J[:, :, m:].swapaxes(-1, -2) @ J[:, :, m:]).sum(0)
             self.gradient.border[:] += gradient[:, m:].sum(0)
+
+    def add_steps(
+        self, blocks: NDArray[np.int64], at: NDArray[np.int64], phi: Array, error: Array,
+        sigma: Array,
+    ) -> None:  # fmt: skip
+        """Add M steps x_j+1 - phi x_j = error of the unknowns `at` (q,) from some blocks j to the
+        next, each with a phi (M,) and sigmas (M, q): what `add` would, from diagonals alone."""
+        self._touched(blocks)
+        d, weight = self.gradient.blocks.shape[1], sigma**-2
+        here, after, phi = _span(blocks), _span(blocks + 1), phi[:, None]
+        for rows, place, value in (
+            (here, at, phi**2 * weight), (here, d + at, -phi * weight), (after, at, weight),
+        ):  # fmt: skip
+            for k in range(len(at)):
+                self.panels[rows, at[k], place[k]] += value[:, k]
+        self.gradient.blocks[here, _span(at)] -= phi * weight * error
+        self.gradient.blocks[after, _span(at)] += weight * error
+
+    def _touched(self, blocks: NDArray[np.int64]) -> bool:
+        """Note that something is added to some blocks and those after each; whether they follow
+        each other, and nothing was added to them yet: so it is from the last portion back."""
+        before, self._lowest = self._lowest, min(self._lowest, int(blocks[0]))
+        return isinstance(_span(blocks), slice) and int(blocks[-1]) < before
 
     def factor(self, damping: Vector | None = None) -> "BorderedFactor":
         """The Cholesky factor, with a damping (d,) and (k,) on the diagonal, in the place of H.

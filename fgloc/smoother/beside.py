@@ -59,6 +59,8 @@ class Beside:
         """What nodes see of users whose places are known, at keyframes first..stop - 1."""
         model, found = self.model, self.model.references
         within = slice(*np.searchsorted(model.reference_key[: self._told], [first, stop]))
+        if within.start == within.stop:
+            return
         kind = np.stack([found.source[within], model.reference_layer[within]], -1)
         for s, layer in np.unique(kind, axis=0).tolist():
             rows = within.start + np.flatnonzero((kind == [s, layer]).all(-1))

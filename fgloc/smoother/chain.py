@@ -16,11 +16,11 @@ from fgloc.smoother.guess import misfit
 from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
 from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
-from fgloc.smoother.term import BIAS, POSE, VELOCITY, Term
+from fgloc.smoother.term import BIAS, POSE, VELOCITY, Step, Term
 from fgloc.smoother.terms import Terms, late_residual, position_residual
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 1024
+BLOCKS_AT_ONCE = 512
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
@@ -161,8 +161,12 @@ class Chain(Terms):
         covariances are taken from.
         """
         cost, band = 0.0, Band(self.n, self.width, self.border.size)
-        for first in range(0, self.n, BLOCKS_AT_ONCE):
+        for first in reversed(range(0, self.n, BLOCKS_AT_ONCE)):  # as `Band` likes it
             for term in self.at(states, robust, first, min(first + BLOCKS_AT_ONCE, self.n)):
+                if isinstance(term, Step):
+                    cost += term.cost
+                    band.add_steps(term.blocks, term.at, term.phi, term.change, term.sigma)
+                    continue
                 J, e = term.jacobian, term.error
                 if term.loss != "none" and term.width < np.inf and not robust.plain:
                     value, across, along = _loss(term)
