@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic_core import from_json, to_json
 
+from fgloc.datasets import arrow_csv
 from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer
 from fgloc.errors import DriveError
 from fgloc.files import read_filled
@@ -22,6 +23,8 @@ _INT64 = np.iinfo(np.int64)
 _AT_ONCE = 1 << 20
 """Bytes that are parsed at a time: they and their numbers stay in the processor's cache."""
 _ROWS_AT_ONCE = 4096
+_LARGE = 1 << 22
+"""Bytes from which on a file is worth the time that Arrow takes to be imported."""
 _OF_NUMBERS = b"0123456789.+-eENa \r"
 """What numbers (NaN among them) are written with; of such bytes JSON accepts nothing else."""
 
@@ -92,11 +95,13 @@ def _decode(path: Path, raw: bytes) -> str:
 
 
 def _parse_fast(path: Path, raw: bytes, names: list[str]) -> Columns | None:
-    """All cells as JSON, or by numpy where they are not written as JSON wants its numbers, or None
-    where they are not all numbers."""
+    """All cells by Arrow if there are many, or as JSON, or by numpy where they are not written as
+    JSON wants its numbers, or None where they are not all numbers."""
     start = raw.find(b"\n") + 1
     if start in (0, len(raw)):
         return None
+    if len(raw) >= _LARGE and (columns := arrow_csv.parse(raw, start, names)) is not None:
+        return columns
     return _parse_json(raw, start, names) or _parse_loosely(path, raw, names)
 
 
