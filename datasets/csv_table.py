@@ -23,7 +23,7 @@ _INT64 = np.iinfo(np.int64)
 _AT_ONCE = 1 << 20
 """Bytes that are parsed at a time: they and their numbers stay in the processor's cache."""
 _ROWS_AT_ONCE = 4096
-_LARGE = 1 << 22
+_LARGE = 1 << 21
 """Bytes from which on a file is worth the time that Arrow takes to be imported."""
 _OF_NUMBERS = b"0123456789.+-eENa \r"
 """What numbers (NaN among them) are written with; of such bytes JSON accepts nothing else."""
