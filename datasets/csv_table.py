@@ -58,22 +58,24 @@ def format_csv(columns: Mapping[str, ArrayLike]) -> str:
 
 def format_rows(columns: Sequence[NDArray[Any]], separator: str = ",") -> Iterator[str]:
     """Lines of the numbers in some columns (N,), many at a time: the shortest that read back
-    exactly. The last line is ended too.
-
-    Pydantic's JSON has the digits of Python's `repr` in a tenth of the time; a table of numbers
-    is JSON but for the brackets.
-    """
-    for first in range(0, max(map(len, columns)), _ROWS_AT_ONCE):
-        part = slice(first, first + _ROWS_AT_ONCE)
-        text = to_json(list(zip(*(values[part].tolist() for values in columns), strict=True)))
-        yield text[2:-2].decode().replace("],[", "\n").replace(",", separator) + "\n"
+    exactly. The last line is ended too."""
+    for lines in _lines(columns):
+        yield lines.decode().replace(",", separator)
 
 
 def _formatted(columns: Mapping[str, ArrayLike]) -> Iterator[bytes]:
     """A header, then lines, many at a time."""
     yield (",".join(columns) + "\n").encode()
-    for lines in format_rows([_exact(name, values) for name, values in columns.items()]):
-        yield lines.encode()
+    yield from _lines([_exact(name, values) for name, values in columns.items()])
+
+
+def _lines(columns: Sequence[NDArray[Any]]) -> Iterator[bytes]:
+    """Pydantic's JSON has the digits of Python's `repr` in a tenth of the time; a table of numbers
+    is JSON but for the brackets."""
+    for first in range(0, max(map(len, columns)), _ROWS_AT_ONCE):
+        part = slice(first, first + _ROWS_AT_ONCE)
+        text = to_json(list(zip(*(values[part].tolist() for values in columns), strict=True)))
+        yield text[2:-2].replace(b"],[", b"\n") + b"\n"
 
 
 def _exact(name: str, values: ArrayLike) -> NDArray[Any]:
