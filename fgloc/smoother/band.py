@@ -118,6 +118,7 @@ class Band:
         The part's last block is where the next one begins: it is given back, to be joined (`join`)
         when all are put, in the order of the parts, so that the sums are always the same.
         """
+        _clear_upper(part.panels)  # while they are in the cache
         last = len(part.gradient.blocks) - 1
         rows, d = slice(first, first + last), part.gradient.blocks.shape[1]
         self._columns[first * d : (first + last) * d] = part._columns[: last * d]
@@ -148,8 +149,8 @@ class Band:
         if damping is not None:
             self._columns[:, 0].reshape(n, d)[:] += damping.blocks
             corner = corner + np.diag(damping.border)
-        for c in range(1, d):
-            self.panels[:, c, :c] = 0
+        if not self._empty:  # of parts that were put, it is done
+            _clear_upper(self.panels)
         return BorderedFactor(Factor(self._columns, n), self.border, corner)
 
 
@@ -229,7 +230,7 @@ class Factor:
                 S[run] += C[run].swapaxes(-1, -2) @ after @ C[run]
                 after = S[run, 0]
             blocks = S.reshape(-1, d, d)[rows.start - rows.stop :]
-            out[rows] = blocks[:, keep[:, None], keep]
+            out[rows] = square(blocks, keep)
         return out
 
     def _steps(self, rows: slice) -> tuple[Array, Array]:
@@ -272,6 +273,12 @@ def _panels(columns: Array, n: int) -> Array:
     return columns.reshape(n, -1)[:, : 2 * d * d].reshape(n, d, 2 * d)
 
 
+def _clear_upper(panels: Array) -> None:
+    """Make zeros of what stands above the diagonal of each block."""
+    for c in range(1, panels.shape[1]):
+        panels[:, c, :c] = 0
+
+
 @cache
 def _pieces(at: tuple[int, ...], d: int) -> list[tuple[slice, int, list[tuple[slice, slice]]]]:
     """How the unknowns `at` lie in panels: of each run of one block where it stands in `at`, its
@@ -295,6 +302,12 @@ def _runs(at: tuple[int, ...], cut: Callable[[int], bool]) -> list[slice]:
     """Where unknowns follow each other without a gap and without a cut before one."""
     ends = [i for i in range(1, len(at)) if at[i] != at[i - 1] + 1 or cut(i)]
     return [slice(i, j) for i, j in pairwise([0, *ends, len(at)] if at else [])]
+
+
+def square(blocks: Array, keep: NDArray[np.int64]) -> Array:
+    """Rows and columns `keep` (q,), increasing, of matrices (n, d, d)."""
+    own = _span(keep)
+    return blocks[:, own, own] if isinstance(own, slice) else blocks[:, keep[:, None], keep]
 
 
 def _span(index: NDArray[np.int64]) -> Index:

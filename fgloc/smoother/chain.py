@@ -11,7 +11,7 @@ from fgloc.factors import imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
 from fgloc.smoother import clocks, sketch
-from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
+from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector, square
 from fgloc.smoother.guess import misfit
 from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
@@ -280,7 +280,7 @@ class Known:
     def predicted(self, term: Term) -> Array:
         """Covariance (M, m, m) of what a term within blocks says, whitened."""
         own, keys, J = np.searchsorted(self.at, term.at), term.blocks, term.jacobian
-        known = self.blocks[keys][:, own[:, None], own]
+        known = square(self.blocks[keys], own)
         if J.shape[2] > len(own):  # it also depends on what the drive shares
             side = self._across[keys][:, own]
             shared = np.broadcast_to(self._border, (len(keys), *self._border.shape))
