@@ -10,12 +10,12 @@ from fgloc.errors import SolverError
 from fgloc.factors import imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
+from fgloc.portions import on_all_cores
 from fgloc.smoother import clocks, sketch
 from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector, square
 from fgloc.smoother.guess import misfit
 from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
-from fgloc.smoother.portions import on_all_cores
 from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
 from fgloc.smoother.term import BIAS, POSE, VELOCITY, Step, Term
 from fgloc.smoother.terms import Terms, late_residual, position_residual
