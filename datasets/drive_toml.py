@@ -10,7 +10,7 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field
 
 from fgloc.config import validate
-from fgloc.drive import About, Camera, Drive, GnssBias, ImuNoise, Rig
+from fgloc.drive import About, Camera, Drive, GnssBias, ImuNoise, Rig, VelocityErrors
 from fgloc.errors import ConfigError, DriveError, InputError
 from fgloc.files import read_text
 from fgloc.frames import HEIGHT_LIMITS_M, LATITUDE_LIMITS_DEG, LONGITUDE_LIMITS_DEG, Origin
@@ -69,6 +69,13 @@ class GnssBiasPart(Part):
     tau_s: float = Field(gt=0)
 
 
+class VelocityErrorsPart(Part):
+    """[rig.velocity_errors]: the fields of `VelocityErrors`."""
+
+    scale_sigma: float = Field(ge=0)
+    heading_sigma_rad: float = Field(ge=0)
+
+
 class CameraPart(Part):
     """[rig.camera]: the fields of `Camera`."""
 
@@ -89,6 +96,7 @@ class RigPart(Part):
     camera: CameraPart | None = None
     p_veh_tag_m: Vector3 = [0.0, 0.0, 0.0]
     user_bias: GnssBiasPart | None = None
+    velocity_errors: VelocityErrorsPart | None = None
 
 
 class NodePart(Part):
@@ -183,10 +191,12 @@ def to_rig(path: Path, part: RigPart) -> Rig:
     bias, user_bias = (GnssBias(**one.model_dump()) if one else None
                        for one in (part.gnss_bias, part.user_bias))  # fmt: skip
     camera = Camera(**part.camera.model_dump()) if part.camera else None
+    lasting = part.velocity_errors
+    errors = VelocityErrors(**lasting.model_dump()) if lasting else None
     try:
         return Rig(
             np.array(part.p_veh_ant_m), T_veh_imu, noise, np.array(part.p_veh_box_m), bias, camera,
-            np.array(part.p_veh_tag_m), user_bias,
+            np.array(part.p_veh_tag_m), user_bias, errors,
         )  # fmt: skip
     except InputError as err:
         raise DriveError(f"{path}: {err}") from err
@@ -222,9 +232,9 @@ def format_toml(drive: Drive) -> str:
         rig["p_veh_box_m"] = drive.rig.p_veh_box_m.tolist()
     if drive.rig.imu_noise is not None:
         rig["imu_noise"] = _floats(dataclasses.asdict(drive.rig.imu_noise))
-    for name in ("gnss_bias", "user_bias"):
-        if (bias := getattr(drive.rig, name)) is not None:
-            rig[name] = _floats(dataclasses.asdict(bias))
+    for name in ("gnss_bias", "user_bias", "velocity_errors"):
+        if (part := getattr(drive.rig, name)) is not None:
+            rig[name] = _floats(dataclasses.asdict(part))
     if drive.rig.camera is not None:
         rig["camera"] = _plain(drive.rig.camera)
     if drive.rig.p_veh_tag_m.any():

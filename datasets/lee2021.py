@@ -37,6 +37,7 @@ from fgloc.datasets.lee2021_errors import (
     gps_slow_m,
     node_slow_m,
     node_white_m,
+    turned,
 )
 from fgloc.datasets.lee2021_traffic import tracks
 from fgloc.datasets.node_simulator import simulate_node
@@ -72,8 +73,9 @@ LONGEST_LATENCY_S = 10.0
 def make_lee2021_mcity(seed: int = 0, errors: str = "paper", latency_s: float = LATENCY_S) -> Drive:
     """The drive of a seed.
 
-    errors     'paper': as in the paper's tables, with tunnel, ghosts and a second car; 'model':
-               exactly as the drive states them, of the car alone
+    errors     'paper': as in the paper's tables, with tunnel, ghosts and a second car; 'turned':
+               the same with biases that point anywhere in each pass; 'model': exactly as the drive
+               states them, of the car alone
     latency_s  mean delay of the node's frames
 
     Raises InputError for a seed below 0, unknown errors or a latency outside [0 s, 10 s].
@@ -88,6 +90,7 @@ def simulate(
     seed: int, errors: str = "paper", latency_s: float = LATENCY_S, paper: PaperErrors = PAPER
 ) -> Drive:
     """As `make_lee2021_mcity`, with other magnitudes and directions of the errors 'paper'."""
+    paper = turned(seed, paper) if errors == "turned" else paper
     rig, node, motion = mcity_rig(), mcity_node(), road.motion()
     epochs = motion.every(road.RATE_HZ // FUSION_HZ)
     t_s = elapsed_s(epochs.t_ns, road.START_NS)
@@ -95,7 +98,7 @@ def simulate(
     gps_m = gps_slow_m(t_s, from_node_m, cases(), errors, seed, paper)
     node_m = node_slow_m(t_s, cases(), errors, seed, paper)
     white = simulate_gnss(epochs, rig, GPS_WHITE_ENU_M, stream(seed, "gnss"))
-    followed = tracks(_box_m(epochs, rig), node_m, t_s, node, cases(), errors == "paper", seed)
+    followed = tracks(_box_m(epochs, rig), node_m, t_s, node, cases(), errors != "model", seed)
     frames_ns = epochs.t_ns, _received_ns(epochs.t_ns, latency_s, seed)
     tables = {
         "gnss": replace(white, p_world_ant_m=white.p_world_ant_m + gps_m),

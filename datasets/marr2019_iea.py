@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from fgloc.datasets.lane_motion import LaneChange, lane_motion
 from fgloc.datasets.road_camera import PostCamera, box_centres
 from fgloc.datasets.simulator import Motion, instants, stream, truth_of
-from fgloc.drive import About, Drive, GnssBias, Rig
+from fgloc.drive import About, Drive, GnssBias, Rig, VelocityErrors
 from fgloc.errors import InputError
 from fgloc.frames import Origin
 from fgloc.infrastructure import Infrastructure, Node
@@ -73,7 +73,10 @@ def make_marr2019_iea(
     InputError for fewer passes than two, or a power that is not above 1.
     """
     motion = iea_motion(seed)
-    rig = Rig(np.array(P_VEH_ANT_M), p_veh_box_m=np.array(P_VEH_ANT_M), gnss_bias=GNSS_BIAS)
+    rig = Rig(
+        np.array(P_VEH_ANT_M), p_veh_box_m=np.array(P_VEH_ANT_M), gnss_bias=GNSS_BIAS,
+        velocity_errors=VelocityErrors(SPEED_SCALE_SIGMA, HEADING_BIAS_RAD),
+    )  # fmt: skip
     nodes = tuple(
         Node(f"mssp{i + 1}", np.array(camera.p_world_m), range_m=RANGE_M)
         for i, camera in enumerate(CAMERAS)
@@ -199,7 +202,7 @@ def slow_error(bias: GnssBias, t_ns: Instants, rng: np.random.Generator) -> Arra
 
 def speed_and_heading(motion: Motion, rng: np.random.Generator) -> EnuVelocities:
     """What the car knows of its velocity: a speed with a constant scale error, along a heading
-    with a constant error, both noisy. The stated sigma covers all of that on either axis.
+    with a constant error, both noisy. The stated sigma is of the noise, on either axis.
     """
     n = len(motion)
     scale = 1 + SPEED_SCALE_SIGMA * rng.standard_normal()
@@ -208,9 +211,8 @@ def speed_and_heading(motion: Motion, rng: np.random.Generator) -> EnuVelocities
     speed = np.hypot(v[:, 0], v[:, 1]) * scale + SPEED_SIGMA_MPS * rng.standard_normal(n)
     heading = np.arctan2(v[:, 1], v[:, 0]) + turned + HEADING_SIGMA_RAD * rng.standard_normal(n)
     told = np.stack([speed * np.cos(heading), speed * np.sin(heading), np.zeros(n)], -1)
-    along = np.hypot(SPEED_SCALE_SIGMA * speed, SPEED_SIGMA_MPS)
-    across = speed * np.hypot(HEADING_BIAS_RAD, HEADING_SIGMA_RAD)
-    return EnuVelocities(motion.t_ns, motion.t_ns, told, np.maximum(along, across))
+    sigma_mps = np.maximum(SPEED_SIGMA_MPS, HEADING_SIGMA_RAD * speed)
+    return EnuVelocities(motion.t_ns, motion.t_ns, told, sigma_mps)
 
 
 def _about(seed: int, passes: int, power: float, refused: int) -> About:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fgloc.factors.linear import linear_factor
 from fgloc.frames import skew
 from fgloc.measurements import Array
 
@@ -94,10 +95,8 @@ def linked_position_factors(
     import gtsam
 
     tie = gtsam.ReferenceFrameFactorPoint3Pose3(lever_key, pose_key, point_key, model)
-    exact = gtsam.noiseModel.Isotropic.Sigma(3, TIE_SIGMA_M)
-    terms = [part for key, J in ((point_key, np.eye(3)), *by.items()) for part in (key, J)]
-    row = gtsam.JacobianFactor(*terms, z_world_m, exact)  # type: ignore[call-overload]
-    return [tie, _linear(row, {point_key: 3, **{key: J.shape[1] for key, J in by.items()}})]
+    blocks = {key: J / TIE_SIGMA_M for key, J in ((point_key, np.eye(3)), *by.items())}
+    return [tie, linear_factor(blocks, z_world_m / TIE_SIGMA_M)]
 
 
 def bias_transition(dt_s: ArrayLike, sigma_m: float, tau_s: float) -> tuple[Array, Array]:
@@ -110,23 +109,5 @@ def bias_transition_factor(
     key_i: int, key_j: int, dt_s: float, sigma_m: float, tau_s: float
 ) -> gtsam.LinearContainerFactor:
     """The native factor c_j - phi c_i = w of the Gauss-Markov bias."""
-    import gtsam
-
     phi, sigma = bias_transition(dt_s, sigma_m, tau_s)
-    model = gtsam.noiseModel.Isotropic.Sigma(3, float(sigma))
-    row = gtsam.JacobianFactor(key_i, -phi * np.eye(3), key_j, np.eye(3), np.zeros(3), model)
-    return _linear(row, {key_i: 3, key_j: 3})
-
-
-def _linear(row: gtsam.JacobianFactor, sizes: dict[int, int]) -> gtsam.LinearContainerFactor:
-    """A x = b on vectors of some sizes, by their keys.
-
-    Without a point of linearisation, here zero, GTSAM takes the row as one on the *change* of the
-    variables and reports no error.
-    """
-    import gtsam
-
-    zero = gtsam.Values()
-    for key, size in sizes.items():
-        zero.insert(key, np.zeros(size))
-    return gtsam.LinearContainerFactor(row, zero)
+    return linear_factor({key_i: -phi / sigma * np.eye(3), key_j: np.eye(3) / sigma}, np.zeros(3))

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from fgloc.factors.linear import linear_factor
 from fgloc.infrastructure import Post
 from fgloc.measurements import Array
 
@@ -149,20 +150,6 @@ def pose_factor(
     known = np.isfinite(told)
     J = pose_jacobian(tip_slope_per_m)[known] / sigmas[known, None]
     return linear_factor({key: J}, told[known] / sigmas[known])
-
-
-def linear_factor(blocks: dict[int, Array], z: Array) -> gtsam.LinearContainerFactor:
-    """sum_k J_k x_k = z with unit noise, of vector states, as a factor of a nonlinear graph."""
-    import gtsam
-
-    # Without a point to be linear about, the factor would take every value for a change from it.
-    zero = gtsam.Values()
-    for key, J in blocks.items():
-        zero.insert(key, np.zeros(J.shape[1]))
-    terms = [part for pair in blocks.items() for part in pair]
-    model = gtsam.noiseModel.Unit.Create(len(z))
-    row = gtsam.JacobianFactor(*terms, z, model)  # type: ignore[call-overload]
-    return gtsam.LinearContainerFactor(row, zero)
 
 
 def _numbers(post: Post) -> tuple[float, float, float, float]:

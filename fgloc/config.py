@@ -139,6 +139,11 @@ class MotionConfig(Section):
     velocities: bool | None = None
     """Use the drive's `velocity` rows. Default: where nothing else tells how the vehicle moves, as
     such rows come from an IMU or from odometry, and would tell the same twice."""
+    velocity_scale_sigma: float | None = Field(default=None, ge=0)
+    """Of an error of their speed that lasts, as a share of it; it is estimated, unless 0. Default:
+    what the drive's rig states, or 0."""
+    velocity_heading_sigma_rad: float | None = Field(default=None, ge=0)
+    """Of an error of their direction on the level that lasts, likewise."""
 
 
 class VehicleConfig(Section):

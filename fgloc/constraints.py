@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.config import SmoothConfig, VehicleConfig
-from fgloc.drive import Drive
+from fgloc.config import MotionConfig, SmoothConfig, VehicleConfig
+from fgloc.drive import Drive, VelocityErrors
 from fgloc.measurements import (
     Array,
     EnuVelocities,
@@ -27,6 +27,8 @@ NON_HOLONOMIC, STANDSTILL = "non-holonomic", "standstill"
 """The names under which constraints are counted: nobody measured them, but they have verdicts."""
 NOT_REACHED = "not reached"
 """Of rows that an estimator may take, and has not yet."""
+LEAST_ERROR = 1e-6
+"""A sigma of a lasting error that is as good as none."""
 MIN_SAMPLES = 10
 """Fewer IMU samples in a window tell nothing of how it shakes."""
 PITCH_WINDOW_S = 0.5
@@ -233,3 +235,13 @@ def _known(true_ns: Instants, received_ns: Instants, t_ns: int, span_s: float) -
     low = np.searchsorted(true_ns, t_ns - seconds_to_ns(span_s), side="right")
     high = np.searchsorted(true_ns, t_ns, side="right")
     return low + np.flatnonzero(received_ns[low:high] <= t_ns)
+
+
+def velocity_error_sigmas(drive: Drive, config: MotionConfig) -> Array:
+    """Sigmas (2,) of what speed and direction of the velocities are off for good, a share and rad:
+    those of the configuration, or else the rig's, next to none where only one has any."""
+    stated = drive.rig.velocity_errors or VelocityErrors(0.0, 0.0)
+    scale, heading = config.velocity_scale_sigma, config.velocity_heading_sigma_rad
+    sigmas = np.array([stated.scale_sigma if scale is None else scale,
+                       stated.heading_sigma_rad if heading is None else heading])  # fmt: skip
+    return np.maximum(sigmas, LEAST_ERROR) if sigmas.any() else sigmas

@@ -74,6 +74,18 @@ class GnssBias:
     tau_s: float
 
 
+@dataclass(frozen=True)
+class VelocityErrors:
+    """Errors of the velocities that stay the same over a drive, as standard deviations.
+
+    scale_sigma        of the speed, as a share of it
+    heading_sigma_rad  of the direction on the level
+    """
+
+    scale_sigma: float
+    heading_sigma_rad: float
+
+
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A level pinhole camera on the vehicle.
@@ -116,6 +128,7 @@ class Rig:
     p_veh_tag_m  (3,) what measures ranges, in the vehicle frame, m
     user_bias    or None where the errors of what other road users say of their places are white;
                  each user's is its own
+    velocity_errors  or None where the errors of the velocities are white
     """
 
     p_veh_ant_m: Array = field(default_factory=lambda: np.zeros(3))
@@ -126,6 +139,7 @@ class Rig:
     camera: Camera | None = None
     p_veh_tag_m: Array = field(default_factory=lambda: np.zeros(3))
     user_bias: GnssBias | None = None
+    velocity_errors: VelocityErrors | None = None
 
     def __post_init__(self) -> None:
         shapes = {

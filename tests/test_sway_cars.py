@@ -1,5 +1,7 @@
 """A car placed by a camera on a swaying post: the graph takes out what the sway puts in."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from sway_cars import LEFT, SCENARIO, drives, removed_share, rmse_m, ways
@@ -48,3 +50,16 @@ def test_a_causal_run_follows_the_post_too():
     assert np.mean((off / followed.posts.sigma_p_m) ** 2) == pytest.approx(1.0, abs=0.35)
     assert followed.summary["counts"]["node_poses"] == {"used": 201}
     assert np.isfinite(followed.verdicts["node_poses"].nis).all()
+
+
+def test_a_node_whose_clock_is_late_has_its_poses_set_right_as_well(of):
+    """Sway turns about within a quarter of a second: poses that stay late would be worse than
+    none."""
+    drive, late_ns = of["poses"], 250_000_000
+    late = {
+        name: dataclasses.replace(drive.tables[name], t_ns=drive.tables[name].t_ns + late_ns,
+                                  received_ns=drive.tables[name].received_ns + late_ns)
+        for name in ("detections", "node_poses")
+    }  # fmt: skip
+    right = rmse_m(drive.with_tables(**late), "clock.nodes_s=0.25")
+    np.testing.assert_allclose(right, rmse_m(drive), rtol=1e-6)

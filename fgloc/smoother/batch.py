@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from fgloc.association import explanations, nearest
 from fgloc.errors import ConfigError, SolverError
 from fgloc.factors import imu, noise
+from fgloc.following import Strays, followed
 from fgloc.measurements import Array
-from fgloc.positions import DETECTIONS, GNSS
+from fgloc.positions import DETECTIONS, GNSS, numbered
 from fgloc.posts import PostStates
 from fgloc.result import Event
 from fgloc.smoother.chain import Chain, position_errors
@@ -29,10 +30,13 @@ from fgloc.smoother.states import (
     yaw_sigma_rad,
 )
 from fgloc.smoother.term import Term
+from fgloc.timing import elapsed_s
 from fgloc.verdicts import Verdict
 
 POSITIONS = "positions"
 """The name under which fixes and detections are left out together."""
+STEADY_S = 5.0
+"""Over which the error of a solution by fixes forgets itself, where they state no slow error."""
 MAX_ROUNDS = 8
 """Gating, and which candidates are the car, is gone through until nothing changes, at most this
 often."""
@@ -114,6 +118,9 @@ def run_batch(model: Model) -> BatchRun:
                 **_held(model, solver, states, spread, robust)}  # fmt: skip
         limits = limits or _limits(model, told)
         gated = _gated(model, told[POSITIONS].nis, limits[POSITIONS])
+        if near:
+            joined = _followed(model, states, spread.positions)
+            gated = np.where(model.positions.candidates, ~joined, gated)
         unheld = _unheld(told, limits)
         settled = np.array_equal(gated, robust.gated) and unheld == robust.unheld
         if rounds == MAX_ROUNDS or (settled and not near):
@@ -133,6 +140,9 @@ def run_batch(model: Model) -> BatchRun:
     factors = solver.factors - int(robust.gated.sum()) - sum(map(len, robust.unheld.values()))
     events = _remarks(model, solver, robust, limits, settled=settled)
     sigmas = solver.shared_sigmas(states, robust)
+    model.car.velocities.found = states.velocity_errors
+    if sigmas.velocity_errors is not None:
+        model.car.velocities.found_cov = np.diag(sigmas.velocity_errors**2)
     judge_batch(model, states, spread.posts)
     posts = post_table(model, states.posts, spread.posts)
     return BatchRun(log, factors, iterations, cost, sigma, events, states, sigmas, told, posts,
@@ -145,8 +155,8 @@ def _settle(
     """The optimum from a guess, and the loss that it took: first none, to come near.
 
     From afar every fix is an outlier, and a loss has no curvature to steer by. Candidates that
-    `_alone` finds join if they are to. While all of them wait, near is enough: what they say of the
-    states is more than what is left.
+    `_followed` finds join if they are to. While all of them wait, near is enough: what they say of
+    the states is more than what is left.
     """
     n = int(np.searchsorted(model.key_of, len(states.p)))
     left_out = model.positions.candidates[:n]
@@ -160,7 +170,7 @@ def _settle(
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
     if join and left_out.any() and (P := solver.rough_predictions(states)) is not None:
-        left_out = left_out & ~_alone(model, states, P)
+        left_out = left_out & ~_followed(model, states, P)
         states, _, more = solver.optimum(
             states, Robustness(left_out, np.inf, plain=True), rough=True
         )
@@ -168,15 +178,6 @@ def _settle(
     robust = Robustness(left_out, width)
     states, cost, more = solver.optimum(states, robust, rough=join and _wait(model, robust))
     return states, robust, cost, iterations + more
-
-
-def _alone(model: Model, states: States, P: Array) -> NDArray[np.bool_]:
-    """Which of the positions (rows,) are candidates that pass the gate while no other of the frame
-    does; P is the covariance of what they measure as predicted without them."""
-    p, n = model.positions, len(P)
-    nis = noise.nis(position_errors(model, states, np.arange(n)), P + model.cov_m2[:n])
-    fits = p.candidates[:n] & (nis <= model.gate_nis[:n])
-    return np.asarray(fits & (np.bincount(p.frame[:n], fits)[p.frame[:n]] == 1))
 
 
 def _wait(model: Model, robust: Robustness) -> bool:
@@ -205,6 +206,22 @@ def _gated(model: Model, nis: Array, limits: Array) -> NDArray[np.bool_]:
     own = np.flatnonzero(p.candidates)
     gated[own] = ~nearest(p.frame[own], p.source[own], p.object_id[own], nis[own], limits[own])
     return gated
+
+
+def _followed(model: Model, states: States, P: Array) -> NDArray[np.bool_]:
+    """Which of the positions (rows,) are candidates that are the car, by all that is known without
+    them; P (rows, 3, 3) is the covariance of what they measure as predicted."""
+    p, chosen, plane = model.positions, np.zeros(len(P), bool), np.s_[:, :2, :2]
+    own = np.flatnonzero(p.candidates[: len(P)])
+    own = own[np.lexsort((p.frame[own], p.t_ns[own]))]
+    drift = model.sources[0].bias
+    chosen[own] = followed(Strays(
+        elapsed_s(p.t_ns[own], int(model.t_ns[0])), p.frame[own],
+        np.where(p.object_id[own] < 0, -1, numbered(p.source[own], p.object_id[own])),
+        position_errors(model, states, own)[:, :2], P[own][plane], model.cov_m2[own][plane],
+        drift.tau_s if drift else STEADY_S, model.gate_nis[own],
+    ))  # fmt: skip
+    return chosen
 
 
 def _unheld(told: Mapping[str, LeftOut], limits: Mapping[str, Array]) -> dict[str, frozenset[int]]:

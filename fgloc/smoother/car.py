@@ -37,7 +37,7 @@ class Car:
         self.verdicts, self.bias_of = plan.verdicts, bias_of
         self.is_mounted = not plan.motion.is_made_up  # or there is no IMU to be askew
         self.wheels, self.wheel_source = wheel_of(drive), wheel_source(drive)
-        self.velocities = Velocities(drive, plan, config.gnss)
+        self.velocities = Velocities(drive, plan, config)
         self.wheel_row = held.wheel_row[at]
         self.speed_mps, self.speed_sigma_mps = self._speeds()
         self.in_force, self.stands = held.in_force[at], held.stands[at]
@@ -92,7 +92,10 @@ class Car:
         return numbers // 3
 
     def summary(self) -> dict[str, float]:
-        """What was found of the wheels and of the mounting, where anything tells of them."""
+        """What was found of the wheels, the mounting and the velocities, where anything tells."""
+        return self._calibration_summary() | self.velocities.summary()
+
+    def _calibration_summary(self) -> dict[str, float]:
         if not self.acts:
             return {}
         pitch_deg, yaw_deg = np.rad2deg(self.found[:2]).tolist()

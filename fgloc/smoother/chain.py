@@ -46,6 +46,8 @@ class Chain(Terms):
         border = np.ones(self.border.size)
         if self.model.car.acts:
             border[self.border.car] = self.model.car.calibration_sigmas**-2
+        if self.model.car.velocities.err:
+            border[self.border.velocity] = self.model.car.velocities.error_sigmas**-2
         return Vector(own, border)
 
     def first(self, n: int) -> "Chain":
@@ -136,14 +138,16 @@ class Chain(Terms):
             states.slow + step[:, 15 : self.post_first],
             states.late_s - back.border[self.border.late],
             calibration,
-            states.offset - (back.border[self.border.offset] if self._estimates_offset else 0.0),
+            states.offset - self._part(back.border, self.border.offset),
             self._resurveyed(states.survey, back.border),
             states.posts + step[:, self.post_first :],
+            states.velocity_errors - self._part(back.border, self.border.velocity),
         )
 
-    @property
-    def _estimates_offset(self) -> bool:
-        return self.border.offset.start < self.border.offset.stop
+    @staticmethod
+    def _part(border: Array, at: slice) -> Array | float:
+        """What stands at a place of the border; 0 where nothing does."""
+        return border[at] if at.start < at.stop else 0.0
 
     def _resurveyed(self, survey: Array, back: Array) -> Array:
         """What the surveys are off after a step back."""
@@ -234,10 +238,12 @@ class Chain(Terms):
         if not self.border.size:
             return SharedSigmas()
         sigma = np.sqrt(np.diagonal(self._factor(states, robust).cov_border))
+        own = self.border
         return SharedSigmas(
-            sigma[self.border.late],
-            sigma[self.border.offset] if self._estimates_offset else None,
-            {s: sigma[at] for s, at in self.border.survey.items()},
+            sigma[own.late],
+            sigma[own.offset] if own.offset.start < own.offset.stop else None,
+            {s: sigma[at] for s, at in own.survey.items()},
+            sigma[own.velocity] if own.velocity.start < own.velocity.stop else None,
         )
 
     def _factor(self, states: States, robust: Robustness) -> BorderedFactor:
@@ -256,7 +262,7 @@ class Chain(Terms):
         if unknown >= self.n * self.width:
             return SolverError(
                 "the solver failed at what the drive shares: a lateness, a calibration, the "
-                "box's centre or a survey"
+                "box's centre, errors of the velocities or a survey"
             )
         j, i = divmod(unknown, self.width)
         slow = [f"slow error of {self.model.sources[s].name}" for s in self.slow_at]

@@ -24,7 +24,7 @@ OBSERVABLE_SHARE = 0.5
 """A lateness counts as observed where its sigma has come down to this share of the prior's."""
 TABLES = {
     "gnss": ("gnss",), "imu": ("imu",), "wheel": ("wheel", "odometry"), "steering": ("steering",),
-    "velocity": ("velocity",), "nodes": ("detections",),
+    "velocity": ("velocity",), "nodes": ("detections", "node_poses"),
 }  # fmt: skip
 """The tables whose stamps are of one clock."""
 

@@ -56,10 +56,14 @@ class Held:
         told, late = self._car.velocities, clocks.acting(self._model.config, velocities.SOURCE)
         slope = told.slope_mps2[at] if len(late) else np.zeros((len(at), 3))
         error, by_late = velocity.late_residual(
-            states.v[at], told.v_world_mps[at], slope, float(states.late_s[late].sum())
-        )
+            states.v[at], told.v_world_mps[at], slope, float(states.late_s[late].sum()),
+            states.velocity_errors,
+        )  # fmt: skip
         eye = np.broadcast_to(np.eye(3), (len(at), 3, 3))
-        J = np.concatenate([eye, self._border.by(late, by_late)], -1)
+        border = self._border.by(late, by_late)
+        if told.err:
+            border[:, :, self._border.velocity] = velocity.by_errors(told.v_world_mps[at])
+        J = np.concatenate([eye, border], -1)
         sigma = told.sigma_mps[at][:, None]
         return Term(at, VELOCITY, error / sigma, J / sigma[..., None], "huber", velocities.WIDTH)
 

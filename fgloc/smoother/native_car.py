@@ -2,12 +2,13 @@
 
 A constraint at keyframe j adds the car's own axes Y(j) and, where its point is not the IMU's place,
 that point's velocity W(j); all share K(0), the calibration, and Z(0), a zero: see
-`factors.vehicle`.
+`factors.vehicle`. Where lasting errors of the velocities are estimated they are M(0), and what
+should be told at keyframe j is T(j).
 """
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, K, V, W, X, Y, Z
+from gtsam.symbol_shorthand import B, K, M, T, V, W, X, Y, Z
 
 from fgloc.constraints import STANDSTILL
 from fgloc.factors import noise, vehicle, velocity
@@ -25,7 +26,7 @@ class NativeCar(Car):
     @property
     def keys(self) -> list[int]:
         """Shared variables."""
-        return [K(0), Z(0)] if self.acts else []
+        return [K(0), Z(0)] * self.acts + [M(0)] * self.velocities.err
 
     def keys_at(self, j: int) -> list[int]:
         """Variables of the constraint at keyframe j."""
@@ -33,17 +34,23 @@ class NativeCar(Car):
 
     def prior_factors(self) -> Factors:
         """What is known of the shared variables beforehand."""
-        if not self.keys:
-            return []
-        c = self.config
-        return [vehicle.calibration_prior(K(0), c.mounting_sigma_rad, c.scale_sigma),
-                vehicle.zero_prior(Z(0))]  # fmt: skip
+        factors: Factors = []
+        if self.acts:
+            c = self.config
+            factors = [vehicle.calibration_prior(K(0), c.mounting_sigma_rad, c.scale_sigma),
+                       vehicle.zero_prior(Z(0))]  # fmt: skip
+        if self.velocities.err:
+            known = gtsam.noiseModel.Diagonal.Sigmas(self.velocities.error_sigmas)
+            factors.append(gtsam.PriorFactorVector(M(0), np.zeros(2), known))
+        return factors
 
     def insert_shared(self, values: gtsam.Values) -> None:
         """Put in the variables that all constraints share."""
-        if self.keys:
+        if self.acts:
             values.insert(K(0), vehicle.calibration(self.found))
             values.insert(Z(0), np.zeros(3))
+        if self.velocities.err:
+            values.insert(M(0), self.velocities.found)
 
     def insert(
         self, values: gtsam.Values, j: int, pose: gtsam.Pose3, velocity: Array,
@@ -83,11 +90,24 @@ class NativeCar(Car):
         model = noise.robust(still, "huber", STILL_WIDTH)
         return vehicle.standstill_factors(V(j), bias, rate, model, self.still_rate_sigma)
 
+    def velocity_keys(self, j: int) -> list[int]:
+        """The variables that the velocity at keyframe j adds."""
+        return [T(j)] * self.velocities.err
+
+    def insert_velocity(self, values: gtsam.Values, j: int, v_world_mps: Array) -> None:
+        """Put them in: what should be told at the velocity of a state."""
+        told = self.velocities
+        for key in self.velocity_keys(j):
+            off = velocity.by_errors(told.v_world_mps[j]) @ told.found
+            values.insert(key, v_world_mps + off)
+
     def velocity_factors(self, j: int) -> Factors:
         """The velocity at keyframe j."""
         told = self.velocities
         plain = gtsam.noiseModel.Isotropic.Sigma(3, told.sigma_mps[j])
         model = noise.robust(plain, "huber", velocities.WIDTH)
+        if told.err:
+            return velocity.erring_factors(V(j), T(j), M(0), told.v_world_mps[j], model)
         return [velocity.factor(V(j), told.v_world_mps[j], model)]
 
     def factors(self, j: int, robust: Robustness) -> Factors:
@@ -105,6 +125,10 @@ class NativeCar(Car):
         if not self.acts:
             return vehicle.STRAIGHT
         return vehicle.read_calibration(values.atConstantBias(K(0)))
+
+    def velocity_errors(self, values: gtsam.Values) -> Array:
+        """What speed and direction of the velocities are off (2,) as a solution has them."""
+        return np.asarray(values.atVector(M(0))) if self.velocities.err else np.zeros(2)
 
     def _point(self, j: int) -> int:
         """The key of the velocity of the point that does not slide."""

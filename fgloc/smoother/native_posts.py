@@ -16,7 +16,8 @@ from gtsam.symbol_shorthand import U
 
 from fgloc.drive import Drive
 from fgloc.factors import gnss
-from fgloc.factors.post import linear_factor, post_spread
+from fgloc.factors.linear import linear_factor
+from fgloc.factors.post import post_spread
 from fgloc.measurements import Array
 from fgloc.smoother.swaying import SIZE, Swaying
 from fgloc.timing import Instants

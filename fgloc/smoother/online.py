@@ -156,7 +156,7 @@ class Online:
         states = [self._states[k] for k in range(first, j + 1)]
         rows = self._positions.since(first)
         values = window_values(self.model, first, states, rows, self._car.axes)
-        self.posts.insert(values, first, j + 1 - first)
+        self._insert_more(values, first, j + 1 - first)
         try:
             self._regrow(first, j, self._window(first, j, prior), values, "qr")
         except (RuntimeError, SolverError) as again:
@@ -184,7 +184,7 @@ class Online:
         groups = self._window(first, j, model.prior_factors(first, base, YAW_SIGMA_RAD))
         start = self._choose_yaw(start, groups, rows)
         values = first_values(model, start, j + 1 - first, rows)
-        self.posts.insert(values, first, j + 1 - first)
+        self._insert_more(values, first, j + 1 - first)
         self._regrow(first, j, groups, values, model.config.solver.factorization)
         self._aligned = True
         self._event(j, "aligned", "a course is told: yaw started from it, the past re-solved")
@@ -198,10 +198,15 @@ class Online:
 
         def cost(turned: Guess) -> float:
             values = first_values(model, turned, n, rows)
-            self.posts.insert(values, start.first, n)
+            self._insert_more(values, start.first, n)
             return float(graph.error(optimize(graph, values, model)[0]))
 
         return choose_yaw(start, fixes, cost)
+
+    def _insert_more(self, values: gtsam.Values, first: int, n: int) -> None:
+        """Put in what posts and velocities add to n keyframes whose states are there."""
+        self.posts.insert(values, first, n)
+        self._car.insert_velocities(values, first, n)
 
     def _window(self, first: int, j: int, prior: Factors) -> list[Factors]:
         """The factors of keyframes first..j, one list each, with the prior on the first."""
@@ -299,10 +304,11 @@ class Online:
             aligned=self._aligned,
         )[0]  # fmt: skip
         self._positions.finish()
-        late += self._car.finish(self._tree, aligned=self._aligned)
+        late += self._car.finish(values, self._tree, aligned=self._aligned)
         if late:
             try:
-                self._tree.update(late, values, self._stamps(j, j))
+                now = dict.fromkeys(values.keys(), float(self.model.t_s[j]))
+                self._tree.update(late, values, now | self._stamps(j, j))
             except RuntimeError as err:
                 self._recover(j, err)
         if self.last is None:

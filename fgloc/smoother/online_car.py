@@ -50,7 +50,7 @@ class OnlineCar:
         `state` and `cov` (9, 9), of pose and velocity, are predicted for keyframe j.
         """
         v, cov_v = state.velocity, cov[6:, 6:]
-        factors = self._velocities.take_in(j, v, cov_v, tree, aligned=aligned)
+        factors = self._velocities.take_in(j, v, cov_v, values, tree, aligned=aligned)
         if self.car.stands[j] and self.car.still_fits(j, v, cov_v):
             self._still.add(j)
             factors += self.car.still_factors(j)
@@ -77,10 +77,10 @@ class OnlineCar:
             self._calibration_s = now_s
         return self._calibration_cov
 
-    def finish(self, tree: WholeTree, *, aligned: bool) -> Factors:
+    def finish(self, values: gtsam.Values, tree: WholeTree, *, aligned: bool) -> Factors:
         """Factors of the speeds and velocities that came in after the last keyframe."""
         end = len(self.model)
-        factors = self._velocities.take_in(end, None, None, tree, aligned=aligned)
+        factors = self._velocities.take_in(end, None, None, values, tree, aligned=aligned)
         if not aligned:
             return factors
         late = [k for k in self._arriving[-1] if self._fits(k, end, None, None, tree)]
@@ -110,19 +110,25 @@ class OnlineCar:
         return self._velocities.tells_course(first)
 
     def read(self, j: int, tree: WholeTree) -> None:
-        """Take the calibration out of the tree, where keyframe j has changed it."""
+        """Take what all constraints share out of the tree, where keyframe j has changed it."""
         if j in self.axes:
             self.car.found = read_calibration(tree.bias(K(0)))
+        self._velocities.read(j, tree)
+
+    def insert_velocities(self, values: gtsam.Values, first: int, n: int) -> None:
+        """Put in what the velocities of keyframes first..first + n - 1 add, which are there."""
+        self._velocities.insert(values, first, n)
 
     def stamps(self, first: int, j: int) -> Stamps:
         """The time in s of the variables of keyframes first..j."""
         t_s = self.model.t_s
-        return {
+        own = {
             key: float(t_s[k])
             for k in range(first, j + 1)
             if k in self.axes
             for key in self.car.keys_at(k)
         }
+        return own | self._velocities.stamps(first, j)
 
     def forget(self, before: int) -> None:
         """Drop what lies before a keyframe."""

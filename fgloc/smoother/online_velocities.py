@@ -4,14 +4,19 @@ They need no heading, so they enter from the first keyframe on; until the yaw is
 that they could be gated against is known.
 """
 
+import math
+
+import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import V
+from gtsam.symbol_shorthand import M, V
 
 from fgloc.measurements import Array
 from fgloc.smoother.graph import Factors, GraphModel
 from fgloc.smoother.guess import is_course
-from fgloc.smoother.tree import WholeTree
+from fgloc.smoother.tree import Stamps, WholeTree
 from fgloc.verdicts import Verdict
+
+ERRORS_S = 1.0
 
 
 class OnlineVelocities:
@@ -23,20 +28,44 @@ class OnlineVelocities:
         self._arriving = arriving
         self._held: set[int] = set()
         self._accepted_s = 0.0
+        self._found_s = -math.inf
 
     def take_in(
-        self, j: int, v_world_mps: Array | None, cov: Array | None, tree: WholeTree, *,
-        aligned: bool,
+        self, j: int, v_world_mps: Array | None, cov: Array | None, values: gtsam.Values,
+        tree: WholeTree, *, aligned: bool,
     ) -> Factors:  # fmt: skip
         """Factors of what came in by keyframe j, whose velocity is predicted with a covariance
-        (3, 3); j may be the end, where nothing is."""
+        (3, 3); j may be the end, where nothing is. Puts their variables into `values`."""
         factors: Factors = []
         for key in self._arriving[j]:
             if self._enters(key, j, v_world_mps, cov, tree, aligned=aligned):
                 self._held.add(key)
                 self._accepted_s = float(self.model.t_s[key])
+                about = v_world_mps if key == j else None
+                about = tree.vector(V(key)) if about is None else about
+                self.model.car.insert_velocity(values, key, about)
                 factors += self.model.car.velocity_factors(key)
         return factors
+
+    def read(self, j: int, tree: WholeTree) -> None:
+        """Take the lasting errors out of the tree, once in `ERRORS_S`: they change slowly."""
+        if self.told.err and self.model.t_s[j] - self._found_s >= ERRORS_S:
+            self._found_s = float(self.model.t_s[j])
+            self.told.found, self.told.found_cov = tree.vector(M(0)), tree.covariance([M(0)])
+
+    def insert(self, values: gtsam.Values, first: int, n: int) -> None:
+        """Put in the variables of what is held of keyframes first..first + n - 1."""
+        for k in sorted(k for k in self._held if first <= k < first + n):
+            self.model.car.insert_velocity(values, k, values.atVector(V(k)))
+
+    def stamps(self, first: int, j: int) -> Stamps:
+        """The time in s of the variables of keyframes first..j."""
+        return {
+            key: float(self.model.t_s[k])
+            for k in self._held
+            if first <= k <= j
+            for key in self.model.car.velocity_keys(k)
+        }
 
     def tells_course(self, first: int) -> bool:
         """Whether one that came in since keyframe `first` is fast enough to tell a course."""

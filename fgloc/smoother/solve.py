@@ -29,6 +29,8 @@ _MEANING = {
     "y": ("axes of the car", "position or attitude is not held by any measurement"),
     "w": ("velocity of the point that does not slide", "the velocity is not held"),
     "k": ("scale and mounting", "no constraint observes them"),
+    "m": ("errors of the velocities", "their prior is missing"),
+    "t": ("told velocity", "its sigma is not usable"),
     "z": ("zero", "its prior is missing"),
 }  # fmt: skip
 

@@ -22,7 +22,8 @@ class States:
     that have one (n, 3 for each) in m. Of the whole drive, how late the stamps of each source are
     whose clock is estimated (k,), in s, the car's calibration (3,), see `Car`, how far the box's
     centre is from where the rig says (3,) in m, and of each source what its survey is off (3,):
-    east and north in m, yaw in rad. `posts` (n, 6 for each slot) are those of swaying posts, see
+    east and north in m, yaw in rad, and what speed and direction of the velocities are off (2,), a
+    share and rad. `posts` (n, 6 for each slot) are those of swaying posts, see
     `Swaying`."""
 
     R: Array
@@ -35,6 +36,7 @@ class States:
     offset: Array = field(default_factory=lambda: np.zeros(3))
     survey: Array = field(default_factory=lambda: np.zeros((1, 3)))
     posts: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    velocity_errors: Array = field(default_factory=lambda: np.zeros(2))
 
     def first(self, n: int) -> "States":
         """Those of the first n keyframes."""
@@ -88,11 +90,13 @@ class Spread:
 @dataclass(frozen=True, eq=False)
 class SharedSigmas:
     """Standard deviations of what a drive shares, where it is estimated: latenesses (k,) in s, the
-    box's centre (3,) in m, and of some sources, by number, the survey (3,) in m, m and rad."""
+    box's centre (3,) in m, of some sources, by number, the survey (3,) in m, m and rad, and speed
+    and direction of the velocities (2,), a share and rad."""
 
     late_s: Array = field(default_factory=lambda: np.zeros(0))
     offset: Array | None = None
     survey: Mapping[int, Array] = field(default_factory=dict)
+    velocity_errors: Array | None = None
 
 
 class StateLog:

@@ -50,11 +50,13 @@ class Step(NamedTuple):
 
 class Border(NamedTuple):
     """Where the unknowns that the whole drive shares stand: how late stamps are, the car's
-    calibration, the centre of its box, and what the survey of each source, by number, is off."""
+    calibration, the centre of its box, what its velocities are off, and what the survey of each
+    source, by number, is off."""
 
     late: slice
     car: slice
     offset: slice
+    velocity: slice
     survey: dict[int, slice]
 
     @classmethod
@@ -64,15 +66,17 @@ class Border(NamedTuple):
         car = slice(late.stop, late.stop + 3 * model.car.acts)
         free = any(source.point_sigma_m for source in model.sources)
         offset = slice(car.stop, car.stop + 3 * free)
+        erring = model.car.velocities.err
+        velocity = slice(offset.stop, offset.stop + 2 * erring)
         surveyed = [s for s, source in enumerate(model.sources) if source.surveyed]
-        survey = {s: slice(offset.stop + 3 * i, offset.stop + 3 * i + 3)
+        survey = {s: slice(velocity.stop + 3 * i, velocity.stop + 3 * i + 3)
                   for i, s in enumerate(surveyed)}  # fmt: skip
-        return cls(late, car, offset, survey)
+        return cls(late, car, offset, velocity, survey)
 
     @property
     def size(self) -> int:
         """How many unknowns there are."""
-        return int(self.offset.stop) + 3 * len(self.survey)
+        return int(self.velocity.stop) + 3 * len(self.survey)
 
     def by(self, at: slice | NDArray[np.int64], jacobian: Array) -> Array:
         """Jacobians (n, m, q) by some of the shared unknowns among those by all of them. One by

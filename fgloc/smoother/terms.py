@@ -6,8 +6,8 @@ velocity, IMU bias, the slow error of each source of positions that has one, and
 posts that sway (`swaying.py`). A bias that several
 keyframes share is kept once for each of them; the curvature sees a walk of next to nothing between
 the copies, the cost none, so that the optimum is exact. What the whole drive shares stands in the
-border: how late stamps are, the car's calibration, the centre of its box, and what each node's
-survey is off.
+border: how late stamps are, the car's calibration, the centre of its box, what its velocities and
+each node's survey are off.
 """
 
 from collections.abc import Iterator
@@ -76,8 +76,9 @@ class Terms:
         steps = (self.n - 1) * chains + int(self.bias_of[-1])
         held = sum(len(keys) * (1 + (source == STANDSTILL))
                    for source, keys in self.held_keys(0, self.n).items())  # fmt: skip
-        late, car, offset, survey = self.border
-        shared = late.stop + len(survey) + sum(at.start < at.stop for at in (car, offset))
+        late, car, offset, velocity, survey = self.border
+        shared = late.stop + len(survey)
+        shared += sum(at.start < at.stop for at in (car, offset, velocity))
         held += self.beside.factors
         return int(3 + chains + steps + shared + held) + self.rows
 
@@ -129,6 +130,7 @@ class Terms:
             (self.border.late, states.late_s + self.model.shifted_s, late),
             (self.border.car, states.calibration - vehicle.STRAIGHT, car.calibration_sigmas),
             (self.border.offset, states.offset, np.full(3, loose)),
+            (self.border.velocity, states.velocity_errors, car.velocities.error_sigmas),
             *(
                 (at, states.survey[s], self.model.sources[s].survey_sigmas)
                 for s, at in self.border.survey.items()

@@ -26,7 +26,8 @@ class Thresholds(NamedTuple):
 OTHER_THRESHOLD = 0.1
 """For what enters linearly or nearly so: velocities (m/s), biases and antenna points (m)."""
 NEVER = 1e9
-"""For posts and places of other road users, all of whose factors are linear."""
+"""For posts, places of other road users and errors of velocities, all of whose factors are
+linear."""
 MOUNTING_THRESHOLD = 10.0
 """For the mounting, which is kept in mrad."""
 
@@ -52,9 +53,10 @@ def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2
             ("w", 3),
             ("z", 3),
             ("s", 3),
+            ("t", 3),
         ):
             sizes.insert((letter, np.full(size, OTHER_THRESHOLD)))
-        for letter, size in (("p", 6), ("u", 2)):
+        for letter, size in (("p", 6), ("u", 2), ("m", 2)):
             sizes.insert((letter, np.full(size, NEVER)))
         params.setRelinearizeThreshold(sizes)
         params.enablePartialRelinearizationCheck = True

@@ -19,6 +19,7 @@ from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
 from fgloc.smoother.term import Term
 from fgloc.smoother.terms import by_survey
 from fgloc.smoother.tree import as_graph
+from fgloc.smoother.velocities import SOURCE
 
 EVERYTHING = Robustness(np.zeros(0, bool), np.inf)
 ROUNDS, STILL = 5, 1e-6
@@ -160,6 +161,7 @@ class Whole:
     def _values(self, states: States, robust: Robustness) -> gtsam.Values:
         model = self.model
         model.car.found = states.calibration
+        model.car.velocities.found = states.velocity_errors
         model.swaying.about[: self.n] = states.posts[: self.n]
         poses = (gtsam.Pose3(gtsam.Rot3(R), p) for R, p in zip(states.R, states.p, strict=True))
         plain = [
@@ -174,6 +176,9 @@ class Whole:
             model.insert_position(values, i, slow)
         for j in range(self.n):
             model.swaying.insert(values, j, states.posts[j])
+        told = model.car.velocities.keys
+        for j in robust.holds(SOURCE, told[told < self.n]).tolist():
+            model.car.insert_velocity(values, j, states.v[j])
         for i in range(self.told):
             values.insert(U(i), model.references.told_m[i])
         return values
@@ -199,6 +204,7 @@ class Whole:
             np.stack([values.atVector(V(j)) for j in range(self.n)]), np.stack(biases), slow,
             calibration=model.car.calibration(values), offset=offset, survey=survey,
             posts=model.swaying.read(values, self.n),
+            velocity_errors=model.car.velocity_errors(values),
         )  # fmt: skip
 
 

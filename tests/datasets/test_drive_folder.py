@@ -9,7 +9,7 @@ import pytest
 from fgloc.datasets.city import make_city
 from fgloc.datasets.drive_folder import read_drive, write_drive
 from fgloc.datasets.drive_tables import check_covariances
-from fgloc.drive import Camera, Drive, GnssBias, Rig
+from fgloc.drive import Camera, Drive, GnssBias, Rig, VelocityErrors
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
 from fgloc.infrastructure import Anchor, Infrastructure, Node, Post, Sign
@@ -65,7 +65,8 @@ def assert_same(a: Drive, b: Drive) -> None:
     assert (a.name, a.origin, a.about, a.rig.imu_noise) == (
         b.name, b.origin, b.about, b.rig.imu_noise,
     )  # fmt: skip
-    assert (a.rig.gnss_bias, a.rig.user_bias) == (b.rig.gnss_bias, b.rig.user_bias)
+    for name in ("gnss_bias", "user_bias", "velocity_errors"):
+        assert getattr(a.rig, name) == getattr(b.rig, name)
     assert a.rig.p_veh_ant_m.tobytes() == b.rig.p_veh_ant_m.tobytes()
     assert a.rig.T_veh_imu.tobytes() == b.rig.T_veh_imu.tobytes()
     assert a.rig.p_veh_box_m.tobytes() == b.rig.p_veh_box_m.tobytes()
@@ -117,6 +118,7 @@ def full_drive() -> Drive:
     rig = dataclasses.replace(drive.rig, p_veh_box_m=np.array([1.3, -0.1, 0.8]),
                               gnss_bias=GnssBias(1.3, 60.0), user_bias=GnssBias(0.7, 30.0),
                               p_veh_tag_m=np.array([0, 0.1, 2]),
+                              velocity_errors=VelocityErrors(0.01, 0.0087),
                               camera=camera)  # fmt: skip
     drive = dataclasses.replace(drive, rig=rig, truth=truth, infrastructure=roadside_things(),
                                 post_truth=swayed(rng))  # fmt: skip

@@ -7,7 +7,13 @@ from fgloc import frames
 from fgloc.datasets import lee2021_road as road
 from fgloc.datasets import make
 from fgloc.datasets.lee2021 import NAME, P_VEH_BOX_M, cases, mcity_node
-from fgloc.datasets.lee2021_errors import GNSS_BIAS, NODE_BIAS_SIGMA_M, NODE_BIAS_TAU_S
+from fgloc.datasets.lee2021_errors import (
+    GNSS_BIAS,
+    NODE_BIAS_SIGMA_M,
+    NODE_BIAS_TAU_S,
+    PAPER,
+    turned,
+)
 from fgloc.datasets.lee2021_traffic import CAR_ID, FOLLOWER_ID, GHOST_ID
 from fgloc.errors import InputError
 from fgloc.timing import elapsed_s
@@ -231,3 +237,15 @@ def test_the_box_of_the_car_is_not_its_origin(drives):
 def test_options_that_make_no_sense_are_refused(options, says):
     with pytest.raises(InputError, match=says):
         make(NAME, 0, **options)
+
+
+def test_turned_biases_are_as_large_and_point_anywhere():
+    made = [turned(seed) for seed in range(40)]
+    for name in ("gps_passing_m", "node_m"):
+        biases = np.array([getattr(one, name) for one in made])  # (seeds, passes, 2)
+        length = np.linalg.norm(getattr(PAPER, name), axis=-1)
+        np.testing.assert_allclose(np.linalg.norm(biases, axis=-1), np.tile(length, (40, 1)))
+        assert (np.abs(biases.mean(0)).max(-1) < 0.4 * length).all()
+    one, other = (make(NAME, 1, errors=kind).gnss.p_world_ant_m for kind in ("turned", "paper"))
+    assert (one != other).any()
+    assert turned(3) == turned(3) != turned(4)
