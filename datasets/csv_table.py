@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic_core import from_json, to_json
 
+from fgloc.datasets import arrow_csv
 from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer
 from fgloc.errors import DriveError
 from fgloc.files import read_filled
@@ -22,6 +23,8 @@ _INT64 = np.iinfo(np.int64)
 _AT_ONCE = 1 << 20
 """Bytes that are parsed at a time: they and their numbers stay in the processor's cache."""
 _ROWS_AT_ONCE = 4096
+_LARGE = 1 << 21
+"""Bytes from which on a file is worth the time that Arrow takes to be imported."""
 _OF_NUMBERS = b"0123456789.+-eENa \r"
 """What numbers (NaN among them) are written with; of such bytes JSON accepts nothing else."""
 
@@ -55,22 +58,24 @@ def format_csv(columns: Mapping[str, ArrayLike]) -> str:
 
 def format_rows(columns: Sequence[NDArray[Any]], separator: str = ",") -> Iterator[str]:
     """Lines of the numbers in some columns (N,), many at a time: the shortest that read back
-    exactly. The last line is ended too.
-
-    Pydantic's JSON has the digits of Python's `repr` in a tenth of the time; a table of numbers
-    is JSON but for the brackets.
-    """
-    for first in range(0, max(map(len, columns)), _ROWS_AT_ONCE):
-        part = slice(first, first + _ROWS_AT_ONCE)
-        text = to_json(list(zip(*(values[part].tolist() for values in columns), strict=True)))
-        yield text[2:-2].decode().replace("],[", "\n").replace(",", separator) + "\n"
+    exactly. The last line is ended too."""
+    for lines in _lines(columns):
+        yield lines.decode().replace(",", separator)
 
 
 def _formatted(columns: Mapping[str, ArrayLike]) -> Iterator[bytes]:
     """A header, then lines, many at a time."""
     yield (",".join(columns) + "\n").encode()
-    for lines in format_rows([_exact(name, values) for name, values in columns.items()]):
-        yield lines.encode()
+    yield from _lines([_exact(name, values) for name, values in columns.items()])
+
+
+def _lines(columns: Sequence[NDArray[Any]]) -> Iterator[bytes]:
+    """Pydantic's JSON has the digits of Python's `repr` in a tenth of the time; a table of numbers
+    is JSON but for the brackets."""
+    for first in range(0, max(map(len, columns)), _ROWS_AT_ONCE):
+        part = slice(first, first + _ROWS_AT_ONCE)
+        text = to_json(list(zip(*(values[part].tolist() for values in columns), strict=True)))
+        yield text[2:-2].replace(b"],[", b"\n") + b"\n"
 
 
 def _exact(name: str, values: ArrayLike) -> NDArray[Any]:
@@ -92,11 +97,13 @@ def _decode(path: Path, raw: bytes) -> str:
 
 
 def _parse_fast(path: Path, raw: bytes, names: list[str]) -> Columns | None:
-    """All cells as JSON, or by numpy where they are not written as JSON wants its numbers, or None
-    where they are not all numbers."""
+    """All cells by Arrow if there are many, or as JSON, or by numpy where they are not written as
+    JSON wants its numbers, or None where they are not all numbers."""
     start = raw.find(b"\n") + 1
     if start in (0, len(raw)):
         return None
+    if len(raw) >= _LARGE and (columns := arrow_csv.parse(raw, start, names)) is not None:
+        return columns
     return _parse_json(raw, start, names) or _parse_loosely(path, raw, names)
 
 

@@ -158,7 +158,8 @@ def is_rotation(R: ArrayLike, tolerance: float) -> NDArray[np.bool_]:
     """(...) bool: which of finite (..., 3, 3) turn and do not mirror; R R^T is I to `tolerance`."""
     R = np.asarray(R, float)
     orthonormal = (np.abs(R @ R.swapaxes(-1, -2) - np.eye(3)) <= tolerance).all((-1, -2))
-    return np.asarray(orthonormal & (np.linalg.det(R) > 0))
+    volume = (np.cross(R[..., 0, :], R[..., 1, :]) * R[..., 2, :]).sum(-1)
+    return np.asarray(orthonormal & (volume > 0))
 
 
 def skew(vector: ArrayLike) -> Array:

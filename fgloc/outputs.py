@@ -35,7 +35,7 @@ COMPARISON, POSTS, NODES = "compare.json", "posts.csv", "nodes.csv"
 VERDICT_COLUMNS = (
     "source", "t_ns", "received_ns", "verdict", "nis", "dof", "threshold", "reason",
 )  # fmt: skip
-_ROWS_AT_ONCE = 65_536
+_ROWS_AT_ONCE = 8192
 POST_COLUMNS = {
     "x_m": ("p_node_m", 0), "vx_mps": ("v_node_mps", 0), "y_m": ("p_node_m", 1),
     "vy_mps": ("v_node_mps", 1), "roll_rad": ("tilt_rad", 0), "pitch_rad": ("tilt_rad", 1),
@@ -325,23 +325,21 @@ def _verdict_rows(table: SourceVerdicts, part: slice) -> Iterator[str]:
     """Lines of some rows of a source, whose ends are made once for each run of rows with one
     verdict and reason."""
     source, t, received = _cell(table.source), _texts(table.t_ns[part]), table.received_ns[part]
-    at_once = np.array_equal(received, table.t_ns[part])
-    times = list(zip(t, t if at_once else _texts(received), strict=True))
-    numbers = None
+    times = [t, t if np.array_equal(received, table.t_ns[part]) else _texts(received)]
     found = [column[part] for column in (table.nis, table.dof, table.threshold)]
-    if found[1].any() or not (np.isnan(found[0]) & np.isnan(found[2])).all():
-        numbers = list(zip(*map(_texts, found), strict=True))
+    judged = found[1].any() or not (np.isnan(found[0]) & np.isnan(found[2])).all()
+    columns = [*times, *map(_texts, found)] if judged else times
     fates, reasons = table.verdict[part], table.reason[part]
     changes = (fates[1:] != fates[:-1]) | (reasons[1:] != reasons[:-1])
     for first, stop in pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(fates)]):
         fate, reason = _cell(fates[first]), _cell(reasons[first])
-        if numbers is None:
-            end = f",{fate},,0,,{reason}\n"
-            yield "".join([f"{source},{a},{b}{end}" for a, b in times[first:stop]])
-        else:
-            rows = zip(times[first:stop], numbers[first:stop], strict=True)
+        rows = zip(*(column[first:stop] for column in columns), strict=True)
+        if judged:
             yield "".join([f"{source},{a},{b},{fate},{nis},{dof},{threshold},{reason}\n"
-                           for (a, b), (nis, dof, threshold) in rows])  # fmt: skip
+                           for a, b, nis, dof, threshold in rows])  # fmt: skip
+        else:
+            end = f",{fate},,0,,{reason}\n"
+            yield "".join([f"{source},{a},{b}{end}" for a, b in rows])
 
 
 def _texts(values: NDArray[Any]) -> list[str]:

@@ -36,16 +36,16 @@ class Bootstrap:
 
     def mean(self, x: Array, t_ns: Instants) -> Interval:
         """Interval of the mean of a series (N,) at its instants."""
-        return self._of_moments(x, t_ns, lambda mean, square: mean)
+        return self._of_means([x], t_ns, lambda mean: mean)
 
     def rmse(self, x: Array, t_ns: Instants) -> Interval:
         """Interval of the root mean square."""
-        return self._of_moments(x, t_ns, lambda mean, square: np.sqrt(square))
+        return self._of_means([x**2], t_ns, lambda square: np.sqrt(np.maximum(square, 0.0)))
 
     def std(self, x: Array, t_ns: Instants) -> Interval:
         """Interval of the standard deviation."""
-        return self._of_moments(
-            x, t_ns, lambda mean, square: np.sqrt(np.maximum(square - mean**2, 0.0))
+        return self._of_means(
+            [x, x**2], t_ns, lambda mean, square: np.sqrt(np.maximum(square - mean**2, 0.0))
         )
 
     def quantile(self, x: Array, t_ns: Instants, share: float) -> Interval:
@@ -69,7 +69,8 @@ class Bootstrap:
         around = np.concatenate([columns, columns[: length - 1]])
         total = np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(around, axis=0)])
         blocks = (total[length:] - total[:-length]) / length
-        return blocks.T[:, self._starts(n, length)].mean(axis=-1).T
+        starts = self._starts(n, length)
+        return np.stack([column[starts].mean(axis=-1) for column in blocks.T.copy()], -1)
 
     def _thinned(self, n: int) -> np.ndarray:
         """A row of each stretch of n, drawn at random: rows evenly apart could beat with errors
@@ -79,13 +80,13 @@ class Bootstrap:
         ahead = np.random.default_rng(self.seed).integers(0, step, len(first))
         return np.minimum(first + ahead, n - 1)
 
-    def _of_moments(
-        self, x: Array, t_ns: Instants, statistic: Callable[[Array, Array], Array]
+    def _of_means(
+        self, columns: list[Array], t_ns: Instants, statistic: Callable[..., Array]
     ) -> Interval:
-        if len(x) < _MIN_ROWS:
+        """Interval of what is made of the means of columns (N,) that are drawn at the same rows."""
+        if len(t_ns) < _MIN_ROWS:
             return None, None
-        mean, square = self.resampled_means(np.stack([x, x**2], -1), t_ns).T
-        return self._interval(statistic(mean, np.maximum(square, 0.0)))
+        return self._interval(statistic(*self.resampled_means(np.stack(columns, -1), t_ns).T))
 
     def _starts(self, n: int, length: int) -> np.ndarray:
         """First rows (resamples, blocks) of as many blocks as fill a series of n rows."""

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from fgloc import chi_square
 from fgloc.errors import InputError
-from fgloc.factors.noise import positive_definite
 from fgloc.measurements import Array
 
 _SINGULAR = 1e-12
@@ -33,11 +32,14 @@ def nees(error: Array, cov: Array) -> Array:
     rows = np.flatnonzero((sigma > 0).all(-1) & np.isfinite(error).all(-1))
     scaled = error[rows] / sigma[rows]
     correlation = cov[rows] / (sigma[rows, :, None] * sigma[rows, None, :])
-    definite = positive_definite(correlation, _SINGULAR)
-    L, z = np.linalg.cholesky(correlation[definite]), scaled[definite]
+    try:  # one factorisation decides the usual case, where all are definite
+        L, z = np.linalg.cholesky(correlation), scaled
+    except np.linalg.LinAlgError:
+        definite = np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR
+        L, z, rows = np.linalg.cholesky(correlation[definite]), scaled[definite], rows[definite]
     for i in range(z.shape[1]):  # forward substitution: what is left of z is L^-1 z
         z[:, i] = (z[:, i] - (L[:, i, :i] * z[:, :i]).sum(-1)) / L[:, i, i]
-    result[rows[definite]] = (z * z).sum(-1)
+    result[rows] = (z * z).sum(-1)
     return result
 
 

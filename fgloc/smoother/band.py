@@ -58,6 +58,7 @@ class Band:
         self.panels = _panels(self._columns, n)
         self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
+        self._empty = True
 
     def add(
         self, blocks: NDArray[np.int64], at: NDArray[np.int64], J: Array, gradient: Array
@@ -68,21 +69,75 @@ class Band:
         `at` (up to q,), increasing; they are counted from the start of the block, and on into the
         next block from d on. If q is more, the rest are the border's k.
         """
-        # As a stack of its own: numpy's product of a mere view takes several times as long.
-        back = np.ascontiguousarray(J.swapaxes(-1, -2))
         d, m = self.gradient.blocks.shape[1], len(at)
         here, after = _span(blocks), _span(blocks + 1)
+        first_of_all = self._touched(blocks)
         for own, first, squares in _pieces(tuple(at.tolist()), d):
             rows = here if first < d else after
             place = slice(first % d, first % d + own.stop - own.start)
+            # A stack of its own: numpy takes much longer for a matrix times itself.
+            back = J[:, :, own].copy().swapaxes(-1, -2)
             for other, further in squares:
-                self.panels[rows, place, further] += back[:, own] @ J[:, :, other]
+                if first_of_all and first < d:  # what is all zeros need not be read
+                    np.matmul(back, J[:, :, other], out=self.panels[rows, place, further])
+                else:
+                    self.panels[rows, place, further] += back @ J[:, :, other]
             self.gradient.blocks[rows, place] += gradient[:, own]
             if m < J.shape[2]:
-                self.border[rows, place] += back[:, own] @ J[:, :, m:]
+                self.border[rows, place] += back @ J[:, :, m:]
         if m < J.shape[2]:
-            self.corner += (back[:, m:] @ J[:, :, m:]).sum(0)
+            self.corner += (J[:, :, m:].swapaxes(-1, -2) @ J[:, :, m:]).sum(0)
             self.gradient.border[:] += gradient[:, m:].sum(0)
+
+    def add_steps(
+        self, blocks: NDArray[np.int64], at: NDArray[np.int64], phi: Array, error: Array,
+        sigma: Array,
+    ) -> None:  # fmt: skip
+        """Add M steps x_j+1 - phi x_j = error of the unknowns `at` (q,) from some blocks j to the
+        next, each with a phi (M,) and sigmas (M, q): what `add` would, from diagonals alone."""
+        self._touched(blocks)
+        d, weight = self.gradient.blocks.shape[1], sigma**-2
+        here, after, phi = _span(blocks), _span(blocks + 1), phi[:, None]
+        for rows, place, value in (
+            (here, at, phi**2 * weight), (here, d + at, -phi * weight), (after, at, weight),
+        ):  # fmt: skip
+            for k in range(len(at)):
+                self.panels[rows, at[k], place[k]] += value[:, k]
+        self.gradient.blocks[here, _span(at)] -= phi * weight * error
+        self.gradient.blocks[after, _span(at)] += weight * error
+
+    def _touched(self, blocks: NDArray[np.int64]) -> bool:
+        """Note that something is added to some blocks and to those after each; whether they follow
+        each other, and it is the first: then what they hold is all zeros."""
+        first, self._empty = self._empty and isinstance(_span(blocks), slice), False
+        return first
+
+    def put(self, first: int, part: "Band") -> "Band":
+        """Take over what a part holds that was added up apart, as the blocks from a first one on.
+
+        The part's last block is where the next one begins: it is given back, to be joined (`join`)
+        when all are put, in the order of the parts, so that the sums are always the same.
+        """
+        _clear_upper(part.panels)  # while they are in the cache
+        last = len(part.gradient.blocks) - 1
+        rows, d = slice(first, first + last), part.gradient.blocks.shape[1]
+        self._columns[first * d : (first + last) * d] = part._columns[: last * d]
+        self.border[rows] = part.border[:last]
+        self.gradient.blocks[rows] = part.gradient.blocks[:last]
+        rest = Band(1, *part.border.shape[1:])
+        rest._columns[:] = part._columns[last * d :]
+        rest.border[:], rest.gradient.blocks[:] = part.border[last:], part.gradient.blocks[last:]
+        rest.corner, rest.gradient.border[:] = part.corner, part.gradient.border
+        return rest
+
+    def join(self, block: int, rest: "Band") -> None:
+        """Add what a part holds of the block after it, and of the border."""
+        if block < len(self.gradient.blocks):
+            self.panels[block] += rest.panels[0]
+            self.border[block] += rest.border[0]
+            self.gradient.blocks[block] += rest.gradient.blocks[0]
+        self.corner += rest.corner
+        self.gradient.border[:] += rest.gradient.border
 
     def factor(self, damping: Vector | None = None) -> "BorderedFactor":
         """The Cholesky factor, with a damping (d,) and (k,) on the diagonal, in the place of H.
@@ -94,8 +149,8 @@ class Band:
         if damping is not None:
             self._columns[:, 0].reshape(n, d)[:] += damping.blocks
             corner = corner + np.diag(damping.border)
-        for c in range(1, d):
-            self.panels[:, c, :c] = 0
+        if not self._empty:  # of parts that were put, it is done
+            _clear_upper(self.panels)
         return BorderedFactor(Factor(self._columns, n), self.border, corner)
 
 
@@ -175,7 +230,7 @@ class Factor:
                 S[run] += C[run].swapaxes(-1, -2) @ after @ C[run]
                 after = S[run, 0]
             blocks = S.reshape(-1, d, d)[rows.start - rows.stop :]
-            out[rows] = blocks[:, keep[:, None], keep]
+            out[rows] = square(blocks, keep)
         return out
 
     def _steps(self, rows: slice) -> tuple[Array, Array]:
@@ -218,6 +273,12 @@ def _panels(columns: Array, n: int) -> Array:
     return columns.reshape(n, -1)[:, : 2 * d * d].reshape(n, d, 2 * d)
 
 
+def _clear_upper(panels: Array) -> None:
+    """Make zeros of what stands above the diagonal of each block."""
+    for c in range(1, panels.shape[1]):
+        panels[:, c, :c] = 0
+
+
 @cache
 def _pieces(at: tuple[int, ...], d: int) -> list[tuple[slice, int, list[tuple[slice, slice]]]]:
     """How the unknowns `at` lie in panels: of each run of one block where it stands in `at`, its
@@ -241,6 +302,12 @@ def _runs(at: tuple[int, ...], cut: Callable[[int], bool]) -> list[slice]:
     """Where unknowns follow each other without a gap and without a cut before one."""
     ends = [i for i in range(1, len(at)) if at[i] != at[i - 1] + 1 or cut(i)]
     return [slice(i, j) for i, j in pairwise([0, *ends, len(at)] if at else [])]
+
+
+def square(blocks: Array, keep: NDArray[np.int64]) -> Array:
+    """Rows and columns `keep` (q,), increasing, of matrices (n, d, d)."""
+    own = _span(keep)
+    return blocks[:, own, own] if isinstance(own, slice) else blocks[:, keep[:, None], keep]
 
 
 def _span(index: NDArray[np.int64]) -> Index:

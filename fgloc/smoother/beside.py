@@ -59,6 +59,8 @@ class Beside:
         """What nodes see of users whose places are known, at keyframes first..stop - 1."""
         model, found = self.model, self.model.references
         within = slice(*np.searchsorted(model.reference_key[: self._told], [first, stop]))
+        if within.start == within.stop:
+            return
         kind = np.stack([found.source[within], model.reference_layer[within]], -1)
         for s, layer in np.unique(kind, axis=0).tolist():
             rows = within.start + np.flatnonzero((kind == [s, layer]).all(-1))
@@ -80,20 +82,20 @@ class Beside:
         return Term(keys, at, whitened(W, error), J, settings.loss, settings.loss_width)
 
     def posts(self, states: States, first: int, stop: int) -> Iterator[Term]:
-        """How the posts go on, and what is told of them alone, at keyframes first..stop - 1."""
-        swaying, before = self.model.swaying, max(first, 1)
+        """How the posts go on from keyframes first..stop - 1, and what is told of them alone."""
+        swaying, end = self.model.swaying, min(stop + 1, self.n)
         for c in range(swaying.slots):
             own = self._first + swaying.at(c)
             x = states.posts[:, swaying.at(c)]
             after, earlier = (block[:, c] for block in swaying.steps)
             if first == 0:
                 yield Term(np.array([0]), own, whitened(after[:1], x[:1]), after[:1])
-            if before < stop:
-                rows, back = slice(before, stop), slice(before - 1, stop - 1)
+            if first + 1 < end:
+                rows, back = slice(first + 1, end), slice(first, end - 1)
                 error = whitened(after[rows], x[rows]) + whitened(earlier[rows], x[back])
                 J = np.concatenate([earlier[rows], after[rows]], -1)
                 at = np.append(own, self._width + own)
-                yield Term(np.arange(before - 1, stop - 1), at, error, J)
+                yield Term(np.arange(first, end - 1), at, error, J)
         for c, keys, z, J in swaying.poses(first, stop):
             x = states.posts[keys][:, swaying.at(c)]
             yield Term(keys, self._first + swaying.at(c), whitened(J, x) - z, J)

@@ -10,17 +10,18 @@ from fgloc.errors import SolverError
 from fgloc.factors import imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
+from fgloc.portions import on_all_cores
 from fgloc.smoother import clocks, sketch
-from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
+from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector, square
 from fgloc.smoother.guess import misfit
 from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
 from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
-from fgloc.smoother.term import BIAS, POSE, VELOCITY, Term
+from fgloc.smoother.term import BIAS, POSE, VELOCITY, Step, Term
 from fgloc.smoother.terms import Terms, late_residual, position_residual
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 1024
+BLOCKS_AT_ONCE = 512
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 
 
@@ -164,20 +165,40 @@ class Chain(Terms):
         near, or of reweighted least squares ("weights"), which never climbs far and is what
         covariances are taken from.
         """
-        cost, band = 0.0, Band(self.n, self.width, self.border.size)
-        for first in range(0, self.n, BLOCKS_AT_ONCE):
-            for term in self.at(states, robust, first, min(first + BLOCKS_AT_ONCE, self.n)):
-                J, e = term.jacobian, term.error
-                if term.loss != "none" and term.width < np.inf and not robust.plain:
-                    value, across, along = _loss(term)
-                    gradient = np.matmul((e * across)[:, None], J)[:, 0]
-                    J = _bent(J, e, across, along if curvature == "newton" else across)
-                else:
-                    value = float((e * e).sum()) / 2
-                    gradient = np.matmul(e[:, None], J)[:, 0]
-                cost += value
-                band.add(term.blocks, term.at, J, gradient)
+        band, cost = Band(self.n, self.width, self.border.size), 0.0
+
+        def portion(first: int) -> tuple[float, Band]:
+            value, part = self._portion(states, robust, curvature, first)
+            return value, band.put(first, part)
+
+        starts = range(0, self.n, BLOCKS_AT_ONCE)
+        for first, (value, rest) in zip(starts, on_all_cores(portion, starts), strict=True):
+            band.join(first + BLOCKS_AT_ONCE, rest)
+            cost += value
         self._share_biases(band.gradient.blocks)
+        return cost, band
+
+    def _portion(
+        self, states: States, robust: Robustness, curvature: Curvature, first: int
+    ) -> tuple[float, Band]:
+        """What begins at `BLOCKS_AT_ONCE` keyframes from a first one on: cost and equations."""
+        stop = min(first + BLOCKS_AT_ONCE, self.n)
+        cost, band = 0.0, Band(stop - first + 1, self.width, self.border.size)
+        for term in self.at(states, robust, first, stop):
+            if isinstance(term, Step):
+                cost += term.cost
+                band.add_steps(term.blocks - first, term.at, term.phi, term.change, term.sigma)
+                continue
+            J, e = term.jacobian, term.error
+            if term.loss != "none" and term.width < np.inf and not robust.plain:
+                value, across, along = _loss(term)
+                gradient = np.matmul((e * across)[:, None], J)[:, 0]
+                J = _bent(J, e, across, along if curvature == "newton" else across)
+            else:
+                value = float((e * e).sum()) / 2
+                gradient = np.matmul(e[:, None], J)[:, 0]
+            cost += value
+            band.add(term.blocks - first, term.at, J, gradient)
         return cost, band
 
     def _share_biases(self, gradient: Array) -> None:
@@ -265,7 +286,7 @@ class Known:
     def predicted(self, term: Term) -> Array:
         """Covariance (M, m, m) of what a term within blocks says, whitened."""
         own, keys, J = np.searchsorted(self.at, term.at), term.blocks, term.jacobian
-        known = self.blocks[keys][:, own[:, None], own]
+        known = square(self.blocks[keys], own)
         if J.shape[2] > len(own):  # it also depends on what the drive shares
             side = self._across[keys][:, own]
             shared = np.broadcast_to(self._border, (len(keys), *self._border.shape))

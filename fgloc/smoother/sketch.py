@@ -76,6 +76,7 @@ def all_states(
     n = keys[-1] + 1
     of = np.searchsorted(keys, np.arange(n), side="right") - 1
     R, p, v, bias = few.R[of], few.p[of], few.v[of], few.bias[of]
+    deltas = deltas._replace(cov=deltas.cov[:, :0])  # which nobody needs here
     for some, rows in _steps(keys):
         inner = rows + 1 < keys[some + 1]
         i = rows[inner]

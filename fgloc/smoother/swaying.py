@@ -116,6 +116,8 @@ class Swaying:
         """What is told of the states at keyframes first..stop - 1: slot, keyframes (m,) each once,
         whitened values (m, 4) and Jacobians (m, 4, 6)."""
         within = slice(*np.searchsorted(self.pose_key, [first, stop]))
+        if within.start == within.stop:
+            return
         slot, layer = self.pose_slot[within], self._layer[within]
         for pair in np.unique(np.stack([slot, layer], -1), axis=0).tolist():
             i = within.start + np.flatnonzero((slot == pair[0]) & (layer == pair[1]))

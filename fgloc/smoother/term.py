@@ -32,6 +32,22 @@ class Term(NamedTuple):
     width: float = np.inf
 
 
+class Step(NamedTuple):
+    """M steps x_j+1 - phi x_j of unknowns `at` (q,) from some blocks j to the next: what they miss
+    zero by (M, q), under sigmas (M, q); phi is (M,)."""
+
+    blocks: NDArray[np.int64]
+    at: NDArray[np.int64]
+    phi: Array
+    change: Array
+    sigma: Array
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares."""
+        return float(np.square(self.change / self.sigma).sum()) / 2
+
+
 class Border(NamedTuple):
     """Where the unknowns that the whole drive shares stand: how late stamps are, the car's
     calibration, the centre of its box, what its velocities are off, and what the survey of each

@@ -39,6 +39,7 @@ from fgloc.smoother.term import (
     STATE,
     VELOCITY,
     Border,
+    Step,
     Term,
     whitened,
     whitening,
@@ -81,18 +82,21 @@ class Terms:
         held += self.beside.factors
         return int(3 + chains + steps + shared + held) + self.rows
 
-    def at(self, states: States, robust: Robustness, first: int, stop: int) -> Iterator[Term]:
-        """The factors that begin at keyframes first..stop - 1."""
-        if first == 0:
-            yield from self._priors(states)
+    def at(
+        self, states: States, robust: Robustness, first: int, stop: int
+    ) -> Iterator[Term | Step]:
+        """The factors that begin at keyframes first..stop - 1: those of the motion come first."""
         intervals = slice(first, min(stop, self.n - 1))
         if intervals.start < intervals.stop:
             yield self._motion(states, intervals)
             yield from self._bias_steps(states, intervals)
+        if first == 0:
+            yield from self._priors(states)
         within = slice(*np.searchsorted(self.key_of, [first, stop]))
         kept = np.arange(within.start, within.stop)[~robust.gated[within]]
-        for s in np.unique(self.source[kept]).tolist():
-            yield self._positions(states, s, kept[self.source[kept] == s], robust.loss_width)
+        for s in self._sources_there:
+            if len(rows := kept[self.source[kept] == s]):
+                yield self._positions(states, s, rows, robust.loss_width)
         yield from self.beside.references(states, first, stop)
         yield from self.beside.posts(states, first, min(stop, self.n))
         yield from self._held(states, robust, first, stop)
@@ -148,32 +152,23 @@ class Terms:
         keys = np.arange(rows.start, rows.stop)
         return Term(keys, at, whitened(W, told.error), W @ told.jacobian)
 
-    def _bias_steps(self, states: States, rows: slice) -> Iterator[Term]:
+    def _bias_steps(self, states: States, rows: slice) -> Iterator[Step]:
         """The walk of the IMU's bias from keyframe to keyframe, and the sources' slow errors."""
         following = slice(rows.start + 1, rows.stop + 1)
+        blocks = np.arange(rows.start, rows.stop)
         change = states.bias[following] - states.bias[rows]
-        yield self._step_term(rows, BIAS, change, np.ones(len(change)), self._bias_sigmas[rows])
+        yield Step(blocks, BIAS, np.ones(len(change)), change, self._bias_sigmas[rows])
         for s, at in self.slow_at.items():
             phi, sigma = (column[rows] for column in self._slow_walks[s])
             now, before = states.slow[following][:, at - 15], states.slow[rows][:, at - 15]
             sigmas = np.repeat(sigma[:, None], 3, 1)
-            yield self._step_term(rows, at, now - phi[:, None] * before, phi, sigmas)
+            yield Step(blocks, at, phi, now - phi[:, None] * before, sigmas)
 
     def _slow(self, s: int) -> GnssBias:
         """The slow error of a source that has one."""
         bias = self.model.sources[s].bias
         assert bias is not None
         return bias
-
-    def _step_term(
-        self, rows: slice, at: NDArray[np.int64], change: Array, phi: Array, sigma: Array
-    ) -> Term:
-        """x_j+1 - phi x_j ~ N(0, sigma^2) for unknowns `at`; phi is (m,), the others (m, q)."""
-        eye = np.eye(len(at))
-        back = -phi[:, None, None] * eye
-        J = np.concatenate([back, np.broadcast_to(eye, back.shape)], -1) / sigma[..., None]
-        blocks = np.arange(rows.start, rows.stop)
-        return Term(blocks, np.append(at, self.width + at), change / sigma, J)
 
     def _positions(self, states: States, s: int, rows: NDArray[np.int64], width: float) -> Term:
         """Those rows of the positions, all of source s; `width` is the fixes' loss's."""
@@ -217,6 +212,12 @@ class Terms:
                 yield self.held.term(source, states, at)
                 if source == STANDSTILL:
                     yield self.held.still_rate(states, at)
+
+    @cached_property
+    def _sources_there(self) -> list[int]:
+        """The sources that any of the positions is of."""
+        there: list[int] = np.unique(self.source).tolist()
+        return there
 
     @cached_property
     def _bias_sigmas(self) -> Array:

@@ -111,6 +111,47 @@ def test_it_does_not_matter_in_what_portions_a_file_is_parsed(csv, monkeypatch, 
     assert table["north_m"].tolist() == [-k / 7 for k in range(rows)]
 
 
+@pytest.fixture(params=["arrow", "json"])
+def large(request, monkeypatch):
+    """Every file counts as large; Arrow is installed or not."""
+    monkeypatch.setattr(csv_table, "_LARGE", 0)
+    if request.param == "json":
+        monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+
+
+@pytest.mark.usefixtures("large")
+@pytest.mark.parametrize("end", ["", "\n", "\r\n"])
+def test_a_large_file_is_read_bit_for_bit_with_arrow_and_without(csv, end):
+    numbers = [0.1, -0.0, 5e-324, 1.7976931348623157e308, 2.2250738585072014e-308, 1 / 3, -1e22]
+    stamps = [INT64.min, 2**53 + 1, 1_752_003_244_000_000_001, INT64.max, 0, -1, 7]
+    lines = [f"{t},{x!r},{-x!r}" for t, x in zip(stamps, numbers, strict=True)]
+    table = read_csv(csv(HEADER + (end or "\n").join(lines) + end), LAYOUT)
+    assert table["t_ns"].tolist() == stamps
+    assert table["east_m"].tobytes() == np.array(numbers).tobytes()
+    assert table["north_m"].tobytes() == (-np.array(numbers)).tobytes()
+
+
+@pytest.mark.usefixtures("large")
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("1,2,3\n0x4,5,6\n", "table.csv:3: t_ns = '0x4' is not a whole number of nanoseconds"),
+        ("1,2,3\n4,0x5,6\n", "table.csv:3: east_m = '0x5' is not a number"),
+        ("1,2,3\n4,,6\n", "table.csv:3: east_m = '' is not a number"),
+        ('1,2,3\n4,"5",6\n', "table.csv:3: east_m = '\"5\"' is not a number"),
+        ("1,2,3\n4,NA,6\n", "table.csv:3: east_m = 'NA' is not a number"),
+        ("1,2,3\n4,5,nan\n", "table.csv:3: north_m is nan"),
+        ("1,2,3\n4,1e400,6\n", "table.csv:3: east_m is inf"),
+        ("1,2,3\n4.0,5,6\n", "table.csv:3: t_ns = '4.0' is not a whole number of nanoseconds"),
+        ("1,2,3\n4,5\n", "table.csv:3: 2 cells where the header names 3 columns"),
+        ("1,2,3\n4,5,6,7\n", "table.csv:3: 4 cells where the header names 3 columns"),
+        ("1,2,3\n\n4,5,6\n", "table.csv:3: the line is blank"),
+    ],
+)
+def test_faults_of_a_large_file_are_told_alike_with_arrow_and_without(csv, rows, message):
+    assert fault(csv(HEADER + rows)).startswith(message)
+
+
 @pytest.mark.parametrize("cell", ["+1.5", ".5", "5.", "007", "1e400", "inf"])
 def test_numbers_that_json_does_not_know_are_read_by_numpy(csv, cell):
     table = csv(HEADER + f"1,{cell},3\n4,5,6\n")

@@ -90,6 +90,16 @@ def test_nis_of_a_two_sigma_error_on_each_axis_is_eight():
     assert noise.nis([[2.0, 6.0]], [np.diag([1.0, 9.0])]) == pytest.approx(8.0)
 
 
+@pytest.mark.parametrize("m", [1, 2, 3, 6])
+def test_nis_of_many_is_that_of_each(m):
+    rng = np.random.default_rng(m)
+    root, error = rng.normal(size=(2, 20, m, m)), rng.normal(size=(2, 20, m))
+    cov = root @ root.swapaxes(-1, -2) + 0.1 * np.eye(m)
+    each = [float(noise.nis(e, S)) for e, S in zip(error.reshape(-1, m), cov.reshape(-1, m, m),
+                                                   strict=True)]  # fmt: skip
+    np.testing.assert_allclose(noise.nis(error, cov).ravel(), each, rtol=1e-9)
+
+
 @pytest.mark.parametrize("loss", ["none", "huber", "cauchy"])
 def test_weight_and_curvature_are_the_derivatives_of_the_cost(loss):
     norms, step = np.array([0.1, 1.0, 3.0, 5.0, 40.0]), 1e-3

@@ -65,6 +65,25 @@ def test_blocks_of_the_inverse_are_those_of_the_dense_one(systems, monkeypatch, 
         np.testing.assert_allclose(across[j], inverse[4 * j + keep, 36:])
 
 
+@pytest.mark.parametrize("portions", [[range(8)], [range(4, 8), range(4)], [range(4), range(4, 8)]])
+def test_steps_and_portions_from_either_end_add_up_to_the_same(portions):
+    rng = np.random.default_rng(1)
+    at, phi = np.array([1, 2]), rng.uniform(size=8)
+    change, sigma = rng.normal(size=(8, 2)), rng.uniform(1, 2, size=(8, 2))
+    other, slope = rng.normal(size=(8, 3, 8)), rng.normal(size=(8, 8))
+    there, once = Band(9, 4), Band(9, 4)
+    for rows in map(list, portions):
+        there.add(np.array(rows), np.arange(8), other[rows], slope[rows])
+        there.add_steps(np.array(rows), at, phi[rows], change[rows], sigma[rows])
+    J = np.concatenate([-phi[:, None, None] * np.eye(2), np.tile(np.eye(2), (8, 1, 1))], -1)
+    J /= sigma[..., None]
+    gradient = np.einsum("nm,nmq->nq", change / sigma, J)
+    once.add(np.arange(8), np.append(at, 4 + at), J, gradient)
+    once.add(np.arange(8), np.arange(8), other, slope)
+    np.testing.assert_allclose(there.panels, once.panels, atol=1e-12)
+    np.testing.assert_allclose(flat(there.gradient), flat(once.gradient), atol=1e-12)
+
+
 def test_what_nothing_holds_is_named():
     banded = Band(3, 2)
     banded.add(np.array([0, 2]), np.arange(2), np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)))

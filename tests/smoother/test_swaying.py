@@ -24,6 +24,7 @@ from fgloc.smoother.native_posts import post_key, told_factors
 from fgloc.smoother.post_evidence import log_density, with_posts
 from fgloc.smoother.states import Robustness, States
 from fgloc.smoother.swaying import Swaying, _slots, occurrence
+from fgloc.smoother.term import Step, Term
 from fgloc.sync import plan
 from fgloc.verdicts import Verdict
 from fgloc.watches import beside_cars
@@ -236,7 +237,8 @@ def test_the_density_of_a_chain_is_that_of_its_dense_system():
 def whole_system(chain: Chain, states: States, robust: Robustness):
     """Jacobian and errors of all terms; the copies of a bias are left as separate unknowns."""
     rows, errors = [], []
-    for term in chain.at(states, robust, 0, chain.n):
+    for factor in chain.at(states, robust, 0, chain.n):
+        term = as_term(factor, chain.width) if isinstance(factor, Step) else factor
         for block, jacobian, error in zip(term.blocks, term.jacobian, term.error, strict=True):
             J = np.zeros((len(error), (chain.n + 1) * chain.width))
             J[:, block * chain.width + term.at] = jacobian
@@ -252,3 +254,10 @@ def whole_system(chain: Chain, states: States, robust: Robustness):
 def test_who_cannot_seek_a_post_says_so(drive, mode, settings, match):
     with pytest.raises(InputError, match=match):
         fgloc.smooth(drive, mode, settings=["posts.estimate_mode=true", *settings])
+
+
+def as_term(step: Step, width: int) -> Term:
+    """A step's errors and Jacobians written out."""
+    eye = np.tile(np.eye(len(step.at)), (len(step.blocks), 1, 1))
+    J = np.concatenate([-step.phi[:, None, None] * eye, eye], -1) / step.sigma[..., None]
+    return Term(step.blocks, np.append(step.at, width + step.at), step.change / step.sigma, J)
