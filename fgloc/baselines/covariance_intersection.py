@@ -10,7 +10,7 @@ The joint estimate is told, and is not given back to the filters.
 import numpy as np
 
 from fgloc.baselines.joint import Belief, of_car, of_node
-from fgloc.correspondence.results import cooperative_result
+from fgloc.correspondence.results import TrackStates, cooperative_result
 from fgloc.correspondence.tracks import track_objects
 from fgloc.drive import Drive
 from fgloc.measurements import Array
@@ -42,7 +42,7 @@ def run(drive: Drive) -> Result:
         x.append(joined.x)
         P.append(joined.P)
         born.append(joined.born)
-    return cooperative_result(drive, method, found, x, P, born)
+    return cooperative_result(drive, method, found, TrackStates.of_all(x, P, born))
 
 
 def _joined(beliefs: list[Belief]) -> Belief:
