@@ -31,6 +31,8 @@ from fgloc.smoother.cooperative_graph import (
 )
 from fgloc.smoother.cooperative_lag import Window
 from fgloc.smoother.cooperative_model import Roster, of_node, sighted
+from fgloc.smoother.cooperative_odometry import own_motion
+from fgloc.smoother.cooperative_start import Start
 from fgloc.verdicts import Verdict
 
 ROUNDS, STILL_RAD = 8, 1e-3
@@ -45,9 +47,10 @@ Found = tuple[TrackStates, int, dict[int, Array]]
 def run_cooperative(drive: Drive, config: SmoothConfig) -> Result:
     """All road users of a drive by the graph, as `config.mode` says.
 
-    Of the configuration only the mode and the lag are in force. Raises DriveError where the drive
-    has no detections of nodes or the car is never found,
-    SolverError where the graph cannot be solved, InputError where `smoothed` is asked for.
+    Of the configuration the mode and the lag are in force, and what `motion` and `vehicle` say of a
+    drive without an IMU. Raises DriveError where the drive has no detections of nodes or the car is
+    never found, SolverError where the graph cannot be solved, InputError where `smoothed` is asked
+    for.
     """
     if config.smoothed:
         raise InputError(
@@ -55,17 +58,22 @@ def run_cooperative(drive: Drive, config: SmoothConfig) -> Result:
         )
     method = _NAMES[config.mode]
     found = track_objects(drive, method)
-    roster = Roster(found.ego, drive.infrastructure.nodes, found.slow)
+    own = own_motion(drive, config, found)
+    if own is not None:
+        found = found.with_instants(own.t_ns)
+    roster = Roster(found.ego, drive.infrastructure.nodes, found.slow, own)
     try:
         if config.mode == "batch":
             tracks, factors, survey = _batch(found, roster)
         elif config.mode == "incremental":
-            tracks, factors, survey = run_online(found, Grown(roster), math.inf)
+            tracks, factors, survey = run_online(found, roster, Grown(roster), math.inf)
         else:
             window = Window(roster, config.lag_s)
-            tracks, factors, survey = run_online(found, window, config.lag_s)
+            tracks, factors, survey = run_online(found, roster, window, config.lag_s)
     except (RuntimeError, np.linalg.LinAlgError) as err:
         raise SolverError(f"drive {drive.name!r}: the cooperative graph: {err}") from err
+    if own is not None:
+        own.credit(turned=bool(np.isfinite([epoch.yaw_rad for epoch in found.epochs]).any()))
     return cooperative_result(
         drive, method, found, tracks, causal=config.mode != "batch",
         mode=config.mode, factors=factors, states=len(tracks.track),
@@ -85,12 +93,16 @@ def _batch(found: Epochs, roster: Roster) -> Found:
             graph.push_back(part.graph)
             alive.append(sorted(builder.last.tracks))
         delta = graph.linearize(builder.zeros).optimize()
-        known = [k for k in range(len(alive)) if builder.zeros.exists(heading_key(k))]
+        known = {k for k in range(len(alive)) if builder.zeros.exists(heading_key(k))}
         turned = 0.0
         for k in known:
             heading = float(delta.at(heading_key(k))[0])
             turned, headings[k] = max(turned, abs(heading - headings[k])), heading
         revised = _revise(found, alive, delta)
+        if not known and roster.own is not None:
+            courses = _courses(roster, found, alive, delta)
+            headings = roster.own.headings(found.t_ns, courses).tolist()
+            turned = 0.0 if np.isnan(headings).all() else math.inf
         if turned < STILL_RAD and not revised:
             break
     marginals = gtsam.Marginals(graph, builder.zeros.retract(delta))
@@ -105,6 +117,18 @@ def _batch(found: Epochs, roster: Roster) -> Found:
     states = TrackStates(instant, track, np.array([delta.at(key) for key in keys]),
                          np.array([marginals.marginalCovariance(key) for key in keys]))  # fmt: skip
     return states, builder.factors, {i: delta.at(survey_key(i)) for i in builder.survey}
+
+
+def _courses(
+    roster: Roster, found: Epochs, alive: list[list[int]], delta: gtsam.VectorValues
+) -> Array:
+    """(n,) heading of the car where it drives, rad; NaN elsewhere."""
+    courses = np.full(len(alive), np.nan)
+    for k, tracks in enumerate(alive):
+        if roster.own is not None and roster.ego in tracks:
+            state = delta.at(state_key(roster.ego, k))
+            courses[k] = roster.own.course(found.epochs[k].t_ns, state)
+    return courses
 
 
 def _revise(found: Epochs, alive: list[list[int]], delta: gtsam.VectorValues) -> bool:
@@ -135,7 +159,7 @@ def _revise(found: Epochs, alive: list[list[int]], delta: gtsam.VectorValues) ->
     return revised
 
 
-def run_online(found: Epochs, graph: Grown | Window, lag_s: float) -> Found:
+def run_online(found: Epochs, roster: Roster, graph: Grown | Window, lag_s: float) -> Found:
     """Instant by instant; sightings of nodes enter when they arrive, at the state they are of.
 
     Those that are older than `lag_s` get their verdicts, and the instants their headings.
@@ -143,13 +167,21 @@ def run_online(found: Epochs, graph: Grown | Window, lag_s: float) -> Found:
     *arriving, never = _arrivals(found)
     states: list[TrackStates] = []
     told: set[int] = set()
-    yaw = math.nan
+    yaw, start = math.nan, Start(roster.ego, roster.own)
     for k, (epoch, arrived) in enumerate(zip(found.epochs, arriving, strict=True)):
         oldest_ns = epoch.t_ns - lag_s * 1e9
         in_time = {of: rows for of, rows in arrived.items() if found.epochs[of].t_ns >= oldest_ns}
         for of in arrived.keys() - in_time.keys():
             _late(found, of, arrived[of], f"came later than the lag of {lag_s:g} s")
-        graph.update(epoch, yaw if math.isfinite(yaw) else epoch.yaw_rad, in_time)
+        if not math.isfinite(yaw):
+            yaw = (
+                epoch.yaw_rad
+                if math.isfinite(epoch.yaw_rad)
+                else start.heading(
+                    epoch, [(found.epochs[of], rows) for of, rows in in_time.items()]
+                )
+            )
+        graph.update(epoch, yaw, in_time)
         told |= sighted(replace(epoch, track=np.empty(0, np.int64)), found.ego)
         for of, rows in in_time.items():
             told |= set(found.epochs[of].track[rows].tolist())

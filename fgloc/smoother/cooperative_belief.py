@@ -11,7 +11,7 @@ approximated.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -20,27 +20,10 @@ from numpy.typing import NDArray
 
 from fgloc.measurements import Array
 from fgloc.smoother.cooperative_model import FIRST_SIGMAS, motion
+from fgloc.smoother.cooperative_rows import ERRORS, HEADING, SIZES, Index, Name, Places, Rows
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-
-Name = tuple[str, int]
-"""Of a variable of the core: its letter in `cooperative_model`, and whose it is."""
-STEADY = np.iinfo(np.int64).min
-"""No source of a slow error."""
-SIZES = {"n": 3, "h": 1, "b": 2, "s": 4}
-Index = NDArray[np.int64]
-
-
-@dataclass(frozen=True, eq=False)
-class Rows:
-    """Whitened rows sum A x = b (n, 2) on variables of the core.
-
-    terms   for each: index (m,) among the rows, names (m), A (m, 2, d)
-    """
-
-    b: Array
-    terms: list[tuple[Index, list[Name], Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,15 +65,26 @@ class Core:
         both = np.block([[self.P, cross.T], [cross, P]])
         return Core((*self.names, *names), np.append(self.x, x), both)
 
-    def begun(self, name: Name, mean: float, sigma: float) -> "Core":
+    def begun(self, name: Name, mean: float, sigma: Array | float) -> "Core":
         """With one that depends on nothing."""
         d = SIZES[name[0]]
         return self.joined([name], np.full(d, mean), np.zeros((d, len(self.x))),
-                           sigma**2 * np.eye(d))  # fmt: skip
+                           np.diag(np.full(d, sigma) ** 2))  # fmt: skip
 
-    def moved(self, dt_s: float, steps: dict[Name, tuple[float, float]]) -> "Core":
-        """A step later: tracks move on; `steps` has the factor and the new variance of others."""
+    def moved(
+        self, dt_s: float, turn_rad: float, steps: dict[Name, tuple[float, Array | float]]
+    ) -> "Core":
+        """A step later: tracks move on, the car turns; `steps` has the factor and the new variance
+        of what is no track."""
         x, P = self.x.copy(), self.P.copy()
+        if HEADING in self.column:
+            h = self.column[HEADING]
+            x[h] += turn_rad
+            if ERRORS in self.column:
+                rate = self.column[ERRORS]
+                x[h] -= dt_s * x[rate]
+                P[h] -= dt_s * P[rate]
+                P[:, h] -= dt_s * P[:, rate]
         scale, variance = np.ones(len(x)), np.zeros(len(x))
         for name, (kept, new) in steps.items():
             at = slice(self.column[name], self.column[name] + SIZES[name[0]])
@@ -139,34 +133,6 @@ class Core:
         place = np.concatenate(rows), np.concatenate(cols)
         H = coo_array((np.concatenate(A), place), shape=(height, len(self.x)))
         return H.tocsr(), np.concatenate(b)
-
-
-@dataclass(frozen=True, eq=False)
-class Places:
-    """Where tracks (n,) were seen or say they are: whitened rows W p + off n[col] = b.
-
-    W (n, 2, 2), b (n, 2), off (n, 2, 3) already whitened; col (n,) first column of the node's
-    survey, -1 where there is none; slow (n,) the source of the slow error in it, or `STEADY`
-    """
-
-    track: Index
-    W: Array
-    b: Array
-    col: Index
-    off: Array
-    slow: Index
-
-    def of(self, tracks: Index) -> "Places":
-        """Those of some tracks."""
-        return self[np.isin(self.track, tracks)]
-
-    def __add__(self, more: "Places") -> "Places":
-        return Places(*(np.concatenate([getattr(one, field.name) for one in (self, more)])
-                        for field in fields(self)))  # fmt: skip
-
-    def __getitem__(self, which: Index | NDArray[np.bool_]) -> "Places":
-        return Places(self.track[which], self.W[which], self.b[which], self.col[which],
-                      self.off[which], self.slow[which])  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

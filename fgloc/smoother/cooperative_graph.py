@@ -15,7 +15,6 @@ from fgloc.measurements import Array
 from fgloc.smoother.cooperative_model import (
     FIRST_SIGMA_RAD,
     FIRST_SIGMAS,
-    TURN_DENSITY,
     Call,
     Roster,
     forgetting,
@@ -27,7 +26,7 @@ from fgloc.smoother.cooperative_model import (
 )
 
 _UNIT = {m: gtsam.noiseModel.Unit.Create(m) for m in (1, 2, 3, 4)}
-_POSITION = np.eye(2, 4)
+_I2, _POSITION, _VELOCITY = np.eye(2), np.eye(2, 4), np.eye(2, 4, 2)
 
 
 def state_key(track: int, k: int) -> int:
@@ -48,6 +47,11 @@ def survey_key(node: int) -> int:
 def slow_key(source: int, k: int) -> int:
     """Of a slow error at an instant: of a track's own fixes, or, below 0, of a node."""
     return int(gtsam.symbol("b" if source >= 0 else "c", abs(source) * 10_000_000 + k))
+
+
+def errors_key(k: int) -> int:
+    """Of the errors of the car's yaw rate and wheels at an instant."""
+    return int(gtsam.symbol("o", k))
 
 
 @dataclass(eq=False)
@@ -79,19 +83,17 @@ class Builder:
         call, before = self.roster.call(epoch, yaw_rad), self.last
         lived, drifted = set(before.tracks), set(before.sources)
         F, Q = motion(call.dt_s)
+        W = whitener(Q) if call.dt_s else Q
         for track in call.tracks:
             first = None if track in lived else FIRST_SIGMAS
-            self._chain(part, partial(state_key, track), first, F, Q)
+            self._chain(part, partial(state_key, track), first, F, W)
         for source in call.sources:
             bias = self.roster.slow[source]
             kept, variance = forgetting(bias, call.dt_s)
             first = None if source in drifted else np.full(2, bias.sigma_m)
             key = partial(slow_key, source)
-            self._chain(part, key, first, kept * np.eye(2), variance * np.eye(2))
-        if call.heading:
-            first = None if before.heading else np.array([FIRST_SIGMA_RAD])
-            walk = TURN_DENSITY**2 * call.dt_s * np.eye(1)
-            self._chain(part, heading_key, first, np.eye(1), walk, np.array([yaw_rad]))
+            self._chain(part, key, first, kept, _I2 / math.sqrt(variance or math.inf))
+        self._turn(part, call, yaw_rad)
         self.last = call
         return part
 
@@ -100,6 +102,7 @@ class Builder:
         for i in range(len(epoch.track)):
             self.node_sighting(part, epoch, i, k)
         self.car_sightings(part, epoch, k, yaw_rad)
+        self.own_motion(part, epoch.t_ns, k, yaw_rad)
 
     def node_sighting(self, part: Part, epoch: Epoch, i: int, k: int) -> None:
         """One sighting of a node."""
@@ -126,6 +129,38 @@ class Builder:
                 (state_key(int(track), k), W @ _POSITION), (heading_key(k), -W @ turn),
             )  # fmt: skip
 
+    def own_motion(self, part: Part, t_ns: int, k: int, yaw_rad: float) -> None:
+        """What the car tells of its own motion, about a heading."""
+        own, ego = self.roster.own, self.roster.ego
+        if own is None or ego not in self.last.tracks:
+            return
+        for row in own.rows(t_ns, yaw_rad):
+            terms = [(state_key(ego, k), row.v @ _VELOCITY)]
+            if self.last.heading:
+                terms += [(heading_key(k), row.h), (errors_key(k), row.o)]
+            self._add(part, row.b, *terms)
+
+    def _turn(self, part: Part, call: Call, yaw_rad: float) -> None:
+        """The heading's chain, from where one is known, and that of the errors of the car."""
+        k, own, lived = self.k, self.roster.own, self.last.heading
+        if not call.heading:
+            return
+        if call.rolls and own is not None:
+            first = None if lived else own.error_sigma
+            W = np.diag(1 / (own.error_walk * math.sqrt(call.dt_s or math.inf)))
+            self._chain(part, errors_key, first, 1.0, W)
+        if not lived:
+            first, mean = np.array([FIRST_SIGMA_RAD]), np.array([yaw_rad])
+            self._chain(part, heading_key, first, 1.0, np.eye(1), mean)
+            return
+        self._begin(part, heading_key(k), 1)
+        turned, variance = call.turn
+        W = np.eye(1) / math.sqrt(variance)
+        terms = [(heading_key(k - 1), -W), (heading_key(k), W)]
+        if call.rolls:
+            terms.append((errors_key(k - 1), W @ [[call.dt_s, 0.0]]))
+        self._add(part, W[0] * turned, *terms)
+
     def _fix(self, part: Part, track: int, k: int, z_m: Array, R_m2: Array) -> None:
         """Where a road user says it is."""
         W = whitener(R_m2)
@@ -142,22 +177,27 @@ class Builder:
             return False
         if node not in self.survey:
             self.survey.add(node)
-            self._chain(part, lambda _: survey_key(node), sigma, np.eye(3), np.eye(3))
+            self._chain(part, lambda _: survey_key(node), sigma, 1.0, np.eye(3))
         return True
 
     def _chain(
-        self, part: Part, key_at: Callable[[int], int], first: Array | None, F: Array, Q: Array,
+        self, part: Part, key_at: Callable[[int], int], first: Array | None,
+        F: Array | float, W: Array,
         mean: Array | None = None,
     ) -> None:  # fmt: skip
-        """A variable that follows from the one before; or begins about `mean`, by default 0."""
+        """A variable that follows from the one before by F, with whitener W of what is new; or
+        begins, with the sigmas `first`, about `mean`, by default 0."""
         key = key_at(self.k)
-        for values in (part.values, self.zeros):
-            values.insert(key, np.zeros(len(Q)))
+        self._begin(part, key, len(W))
         if first is None:
-            W = whitener(Q)
-            self._add(part, np.zeros(len(Q)), (key_at(self.k - 1), -W @ F), (key, W))
+            before = -W @ F if isinstance(F, np.ndarray) else -F * W
+            self._add(part, np.zeros(len(W)), (key_at(self.k - 1), before), (key, W))
         else:
             self._add(part, (0 if mean is None else mean) / first, (key, np.diag(1 / first)))
+
+    def _begin(self, part: Part, key: int, size: int) -> None:
+        for values in (part.values, self.zeros):
+            values.insert(key, np.zeros(size))
 
     def _add(self, part: Part, b: Array, *terms: tuple[int, Array]) -> None:
         """A factor |sum A x - b| of whitened rows."""
@@ -193,6 +233,7 @@ class Grown:
             for i in rows:
                 builder.node_sighting(part, self._epochs[of], int(i), of)
         builder.car_sightings(part, epoch, k, yaw_rad)
+        builder.own_motion(part, epoch.t_ns, k, yaw_rad)
         self._tree.update(part.graph, part.values)
 
     @property

@@ -14,20 +14,9 @@ import numpy as np
 
 from fgloc.correspondence.epochs import Epoch
 from fgloc.measurements import Array
-from fgloc.smoother.cooperative_belief import (
-    STEADY,
-    Core,
-    Free,
-    Index,
-    Name,
-    Places,
-    Rows,
-    marginals,
-    pulled,
-)
+from fgloc.smoother.cooperative_belief import Core, Free, marginals, pulled
 from fgloc.smoother.cooperative_model import (
     FIRST_SIGMA_RAD,
-    TURN_DENSITY,
     Call,
     Roster,
     forgetting,
@@ -36,8 +25,16 @@ from fgloc.smoother.cooperative_model import (
     own_sightings,
     whitener,
 )
+from fgloc.smoother.cooperative_rows import (
+    ERRORS,
+    HEADING,
+    STEADY,
+    Index,
+    Name,
+    Places,
+    Rows,
+)
 
-_HEADING: Name = ("h", 0)
 Belief = tuple[Core, Free]
 
 
@@ -126,9 +123,9 @@ class Window:
     def heading(self) -> tuple[float, float]:
         """The car's heading now, rad, and its variance; NaN where it has none."""
         core = self._belief[0]
-        if _HEADING not in core.column:
+        if HEADING not in core.column:
             return math.nan, math.nan
-        mean, cov = core.marginal(_HEADING)
+        mean, cov = core.marginal(HEADING)
         return float(mean[0]), float(cov[0, 0])
 
     def survey(self) -> dict[int, Array]:
@@ -142,10 +139,10 @@ class Window:
         call, (core, free) = instant.call, instant.before
         names = self._names(call)
         core, free = core.only(names), free[np.isin(free.tracks, call.tracks)]
-        steps = {name: self._forgets(name, call.dt_s) for name in core.names if name[0] in "bh"}
-        core, free = core.moved(call.dt_s, steps), free.moved(call.dt_s)
+        steps = {name: self._forgets(name, call) for name in core.names if name[0] in "bho"}
+        core, free = core.moved(call.dt_s, call.turn[0], steps), free.moved(call.dt_s)
         for name in names:
-            if name not in core.column and name[0] in "bh":
+            if name not in core.column and name[0] in "bho":
                 core = self._begun(core, name, instant.yaw_rad)
         new = set(call.tracks) - set(free.tracks.tolist()) - {i for c, i in core.names if c == "s"}
         free = free.born(np.array(sorted(new), np.int64))
@@ -157,24 +154,30 @@ class Window:
         """The variables of an instant."""
         surveys = [("n", int(i)) for i in np.flatnonzero(self._column >= 0)]
         chains = [*(("b", i) for i in call.sources), *(("s", i) for i in call.tracks)]
-        return surveys + [_HEADING] * call.heading + chains
+        return surveys + [HEADING] * call.heading + [ERRORS] * call.rolls + chains
 
-    def _forgets(self, name: Name, dt_s: float) -> tuple[float, float]:
-        """What is kept over a step of the heading or of a slow error, and what variance is new."""
-        if name == _HEADING:
-            return 1.0, TURN_DENSITY**2 * dt_s
-        return forgetting(self._roster.slow[name[1]], dt_s)
+    def _forgets(self, name: Name, call: Call) -> tuple[float, Array | float]:
+        """What is kept over a step of what is no track, and what variance is new."""
+        own = self._roster.own
+        if name == HEADING:
+            return 1.0, call.turn[1]
+        if name == ERRORS and own is not None:
+            return 1.0, own.error_walk**2 * call.dt_s
+        return forgetting(self._roster.slow[name[1]], call.dt_s)
 
     def _begun(self, core: Core, name: Name, yaw_rad: float) -> Core:
-        """With a heading, or a slow error, that begins."""
-        if name == _HEADING:
+        """With what is no track and begins."""
+        own = self._roster.own
+        if name == HEADING:
             return core.begun(name, yaw_rad, FIRST_SIGMA_RAD)
+        if name == ERRORS and own is not None:
+            return core.begun(name, 0.0, own.error_sigma)
         return core.begun(name, 0.0, self._roster.slow[name[1]].sigma_m)
 
     def _linked(self, instant: _Instant) -> Index:
         """Tracks that are no longer free."""
         slow = instant.places.track[instant.places.slow != STEADY]
-        seen = [instant.epoch.seen] if instant.own else []
+        seen = [instant.epoch.seen] if math.isfinite(instant.yaw_rad) else []
         return np.concatenate([[self._roster.ego], *seen, slow])
 
     def _sightings(self, epoch: Epoch, rows: Index) -> Places:
@@ -201,16 +204,30 @@ class Window:
         return np.where(np.isin(sources, list(self._roster.slow)), sources, STEADY)
 
     def _own(self, epoch: Epoch, call: Call, yaw_rad: float) -> list[Rows]:
-        """What the car sees of others, under a heading."""
+        """What the car sees of others, under a heading, and how it moves."""
         ego = self._roster.ego
-        if not (math.isfinite(yaw_rad) and ego in call.tracks and len(epoch.seen)):
+        if ego not in call.tracks:
             return []
+        moves = self._moves(call, yaw_rad)
+        if not (math.isfinite(yaw_rad) and len(epoch.seen)):
+            return moves
         z, turn, W = own_sightings(epoch, yaw_rad)
         every = np.arange(len(z))
         others: list[Name] = [("s", int(track)) for track in epoch.seen]
         terms = [(every, [("s", ego)] * len(z), -W), (every, others, W),
-                 (every, [_HEADING] * len(z), -W @ turn)]  # fmt: skip
-        return [Rows(_times(W, z), terms)]
+                 (every, [HEADING] * len(z), -W @ turn)]  # fmt: skip
+        return [Rows(_times(W, z), terms), *moves]
+
+    def _moves(self, call: Call, yaw_rad: float) -> list[Rows]:
+        """What the car tells of its own motion."""
+        own, one, groups = self._roster.own, np.zeros(1, np.int64), []
+        for row in [] if own is None else own.rows(call.t_ns, yaw_rad):
+            v = np.pad(row.v, ((0, 0), (2, 0)))
+            ego: Name = ("s", self._roster.ego)
+            terms = [(one, [name], A[None]) for name, A in ((ego, v), (HEADING, row.h),
+                     (ERRORS, row.o)) if name == ego or call.heading]  # fmt: skip
+            groups.append(Rows(row.b[None], terms))
+        return groups
 
 
 def _rows(places: Places, core: Core) -> Rows:

@@ -6,19 +6,21 @@
 | h(k) | heading of the ego car, rad |
 | n(node) | error of a node's survey: East and North in m, yaw in rad; where the survey has sigmas |
 | b(source, k) | slow error, where one is stated, of a node or of a road user's own fixes, m |
+| o(k) | errors of the car's yaw rate, rad/s, and of its wheels' scale; where it tells these |
 
 | factor | between | residual |
 |---|---|---|
 | motion | s, s | constant velocity, white noise on the acceleration, exact over the step |
-| turning | h, h | the heading walks |
+| turning | h, h, and o | the heading walks, or turns as the car says |
+| rolling | s, h, o | the wheels' speed along the heading, none sideways |
 | slow error | b, b | it forgets itself (first-order Gauss-Markov) |
 | node's sighting | s, and n, b | where the node sees the road user |
 | fix | s, and b | where the car's fix, or what another road user says of itself, puts it |
 | own sighting | s of the car, s of another, h | where the car sees the other |
 
-All are linear but the last, which is linearised about a heading that is known to a few degrees; a
-batch repeats that. Occlusion is no factor; a track that nobody sees for long ends, and another
-begins where it is seen again.
+All are linear but the last and rolling, which are linearised about a heading that is known to a few
+degrees; a batch repeats that. Occlusion is no factor; a track that nobody sees for long ends, and
+another begins where it is seen again. The car's goes on while it tells of its own motion.
 """
 
 import math
@@ -34,6 +36,7 @@ from fgloc.correspondence.rigid import rotation
 from fgloc.drive import GnssBias
 from fgloc.infrastructure import Node
 from fgloc.measurements import Array
+from fgloc.smoother.cooperative_odometry import OwnMotion
 
 ACCEL_DENSITY = 3.0
 """Root of the spectral density of the acceleration, m/s^2 per sqrt(Hz)."""
@@ -61,6 +64,8 @@ class Call:
     """Who lives at an instant: tracks, the sources of slow errors, and whether a heading is known.
 
     dt_s   since the instant before, 0 at the first
+    turn   how far the car turned since, rad, and its variance
+    rolls  whether the errors of its yaw rate and of its wheels live
     """
 
     t_ns: int
@@ -68,15 +73,18 @@ class Call:
     tracks: list[int]
     sources: list[int]
     heading: bool
+    turn: tuple[float, float] = (0.0, 0.0)
+    rolls: bool = False
 
 
 class Roster:
     """Births and deaths; and the constants of nodes and of slow errors."""
 
     def __init__(
-        self, ego: int, nodes: tuple[Node, ...], slow: Mapping[int, GnssBias] | None = None
-    ) -> None:
-        self.ego, self.nodes = ego, nodes
+        self, ego: int, nodes: tuple[Node, ...], slow: Mapping[int, GnssBias] | None = None,
+        own: OwnMotion | None = None,
+    ) -> None:  # fmt: skip
+        self.ego, self.nodes, self.own = ego, nodes, own
         self.slow = dict(slow or {})
         self.slow |= {
             of_node(i): GnssBias(node.bias_sigma_m, node.bias_tau_s)
@@ -89,19 +97,30 @@ class Roster:
 
     def afresh(self) -> "Roster":
         """The same constants, before the first instant."""
-        return Roster(self.ego, self.nodes, self.slow)
+        return Roster(self.ego, self.nodes, self.slow, self.own)
 
     def call(self, epoch: Epoch, yaw_rad: float) -> Call:
         """Who lives at the next instant; a heading does once a finite yaw was given."""
-        t_ns = epoch.t_ns
+        t_ns, last_ns = epoch.t_ns, epoch.t_ns if self._last_ns is None else self._last_ns
+        self._heading = self._heading or math.isfinite(yaw_rad)
         self._seen_ns |= dict.fromkeys(sighted(epoch, self.ego), t_ns)
+        if self._goes_on(t_ns, last_ns):
+            self._seen_ns[self.ego] = t_ns
         tracks = [t for t, when in self._seen_ns.items() if t_ns - when <= DEATH_S * 1e9]
         begun = {of_node(int(node)) for node in epoch.node} | set(tracks)
         self._sources |= begun & self.slow.keys()
-        self._heading = self._heading or math.isfinite(yaw_rad)
-        dt_s = (t_ns - (t_ns if self._last_ns is None else self._last_ns)) / 1e9
-        self._last_ns = t_ns
-        return Call(t_ns, dt_s, tracks, sorted(self._sources), self._heading)
+        self._last_ns, dt_s = t_ns, (t_ns - last_ns) / 1e9
+        turn = 0.0, TURN_DENSITY**2 * dt_s
+        if self.own is not None:
+            turn = self.own.turn(last_ns, t_ns)
+        rolls = self._heading and self.own is not None
+        return Call(t_ns, dt_s, tracks, sorted(self._sources), self._heading, turn, rolls)
+
+    def _goes_on(self, t_ns: int, last_ns: int) -> bool:
+        """Whether the car, alive just before, tells how it moves itself."""
+        seen_ns = self._seen_ns.get(self.ego)
+        alive = seen_ns is not None and last_ns - seen_ns <= DEATH_S * 1e9
+        return alive and self._heading and self.own is not None and self.own.tells(t_ns)
 
     def survey_sigma(self, node: int) -> Array | None:
         """(3,) m, m, rad of a node's survey; None where it is certain."""
@@ -118,10 +137,12 @@ def sighted(epoch: Epoch, ego: int) -> set[int]:
 
 def motion(dt_s: float) -> tuple[Array, Array]:
     """F and Q (4, 4) of constant velocity over a step."""
-    F = np.eye(4)
-    F[:2, 2:] = dt_s * np.eye(2)
-    Q = np.kron([[dt_s**3 / 3, dt_s**2 / 2], [dt_s**2 / 2, dt_s]], np.eye(2)) * ACCEL_DENSITY**2
-    return F, np.asarray(Q)
+    F, Q = np.eye(4), np.zeros((4, 4))
+    F[[0, 1], [2, 3]] = dt_s
+    Q[[0, 1], [0, 1]] = dt_s**3 / 3
+    Q[[0, 1, 2, 3], [2, 3, 0, 1]] = dt_s**2 / 2
+    Q[[2, 3], [2, 3]] = dt_s
+    return F, Q * ACCEL_DENSITY**2
 
 
 def forgetting(bias: GnssBias, dt_s: float) -> tuple[float, float]:

@@ -41,7 +41,7 @@ def test_the_newest_states_are_those_of_the_whole_graph(name, latency_s):
     def run(graph):
         found = track_objects(unsure, "test")
         roster = Roster(found.ego, nodes, found.slow)
-        states, _, survey = run_online(found, graph(roster), 2.0)
+        states, _, survey = run_online(found, roster, graph(roster), 2.0)
         return states, [epoch.yaw_rad for epoch in found.epochs], survey
 
     (whole, yaws, survey), (lag, lag_yaws, lag_survey) = both(run)
