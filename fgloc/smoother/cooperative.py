@@ -6,6 +6,7 @@ answer, again and again. A batch also asks again which track a node's sighting i
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import gtsam
@@ -20,7 +21,7 @@ from fgloc.correspondence.tracks import track_objects
 from fgloc.drive import Drive
 from fgloc.errors import InputError, SolverError
 from fgloc.measurements import Array
-from fgloc.result import Result
+from fgloc.result import Event, Result
 from fgloc.smoother.cooperative_graph import (
     Builder,
     Grown,
@@ -74,11 +75,21 @@ def run_cooperative(drive: Drive, config: SmoothConfig) -> Result:
         raise SolverError(f"drive {drive.name!r}: the cooperative graph: {err}") from err
     if own is not None:
         own.credit(turned=bool(np.isfinite([epoch.yaw_rad for epoch in found.epochs]).any()))
-    return cooperative_result(
+    result = cooperative_result(
         drive, method, found, tracks, causal=config.mode != "batch",
         mode=config.mode, factors=factors, states=len(tracks.track),
         survey={roster.nodes[i].name: offset.tolist() for i, offset in survey.items()},
     )  # fmt: skip
+    return replace(result, events=tuple(_remarks(drive, int(found.t_ns[0]))))
+
+
+def _remarks(drive: Drive, t_ns: int) -> Iterator[Event]:
+    """What the drive states and this graph does not take."""
+    for what, arm_m in (("antenna", drive.rig.p_veh_ant_m), ("box", drive.rig.p_veh_box_m)):
+        if arm_m[:2].any():
+            text = (f"the graph of several road users takes the car's {what} to be at its origin; "
+                    f"it is {np.hypot(*arm_m[:2]):.2f} m from there")  # fmt: skip
+            yield Event(t_ns, "lever-arm", text)
 
 
 def _batch(found: Epochs, roster: Roster) -> Found:

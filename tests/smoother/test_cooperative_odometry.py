@@ -222,3 +222,12 @@ def test_the_other_car_is_as_good_as_before():
     found = [fgloc.smooth(d, mode="batch").objects for d in (drive, without(drive, "odometry"))]
     ends = [objects.state[-1] for objects in found]
     assert ends[0] == pytest.approx(ends[1], abs=1e-6)
+
+
+def test_what_the_drive_states_and_the_graph_does_not_take_is_told():
+    drive = driving()
+    arm = dataclasses.replace(drive, rig=Rig(p_veh_ant_m=np.array([3.0, -4.0, 1.5])))
+    assert fgloc.smooth(drive, mode="fixed-lag").events == ()
+    (event,) = fgloc.smooth(arm, mode="fixed-lag").events
+    assert "antenna" in event.text
+    assert "5.00 m" in event.text
