@@ -4,45 +4,76 @@ Julier and Uhlmann, A non-divergent estimation algorithm in the presence of unkn
 (1997). Nodes and car each filter what they measure themselves; their estimates share a prior and a
 process noise and so are correlated in a way that nobody knows. For any correlation, the weighted
 sum of information w P_1^-1 + (1 - w) P_2^-1 does not claim too much; w makes its determinant least.
-The joint estimate is told, and is not given back to the filters.
+The joint estimate is told, and is not given back to the filters. A node's estimate counts once what
+it last saw has arrived, moved on to the instant by the motion model.
 """
+
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
-from fgloc.baselines.joint import Belief, of_car, of_node
-from fgloc.correspondence.results import cooperative_result
+from fgloc.baselines.joint import Belief, Information, of_car, of_node
+from fgloc.correspondence.epochs import Epoch, Epochs
+from fgloc.correspondence.results import TrackStates, cooperative_result
 from fgloc.correspondence.tracks import track_objects
 from fgloc.drive import Drive
 from fgloc.measurements import Array
 from fgloc.result import Result
+from fgloc.verdicts import Verdict
 
 _WEIGHTS = np.linspace(0.0, 1.0, 51)
 
 
 def run(drive: Drive) -> Result:
-    """Car and all nodes; DriveError where the drive has no detections of nodes.
-
-    What nodes tell counts at the instant when it was true; latency is not regarded.
-    """
+    """Car and all nodes; DriveError where the drive has no detections of nodes."""
     method = "covariance-intersection"
     found = track_objects(drive, method)
-    agents = range(-1, len(drive.infrastructure.nodes))
-    beliefs = {agent: Belief.unborn(found.tracks) for agent in agents}
-    x, P, born = [], [], []
-    last_ns = int(found.t_ns[0])
+    own = _filtered(found, lambda epoch: of_car(epoch, found.ego, found.tracks))
+    nodes = [
+        _Told(found, node, _filtered(found, partial(of_node, node=node, tracks=found.tracks)))
+        for node in range(len(drive.infrastructure.nodes))
+    ]
+    joined = [
+        _joined([belief, *(node.at(epoch.t_ns) for node in nodes)])
+        for epoch, belief in zip(found.epochs, own, strict=True)
+    ]
+    columns = [b.x for b in joined], [b.P for b in joined], [b.born for b in joined]
+    return cooperative_result(drive, method, found, TrackStates.of_all(*columns))
+
+
+def _filtered(found: Epochs, told: Callable[[Epoch], Information]) -> list[Belief]:
+    """What one agent believes at each instant by what it measures itself."""
+    belief, last_ns, beliefs = Belief.unborn(found.tracks), int(found.t_ns[0]), []
     for epoch in found.epochs:
-        dt_s, last_ns = (epoch.t_ns - last_ns) / 1e9, epoch.t_ns
-        for agent in agents:
-            seen = (
-                of_car(epoch, found.ego, found.tracks) if agent < 0
-                else of_node(epoch, agent, found.tracks)
-            )  # fmt: skip
-            beliefs[agent] = beliefs[agent].predicted(dt_s).updated(seen)
-        joined = _joined(list(beliefs.values()))
-        x.append(joined.x)
-        P.append(joined.P)
-        born.append(joined.born)
-    return cooperative_result(drive, method, found, x, P, born)
+        belief = belief.predicted((epoch.t_ns - last_ns) / 1e9).updated(told(epoch))
+        last_ns = epoch.t_ns
+        beliefs.append(belief)
+    return beliefs
+
+
+class _Told:
+    """What the car knows of a node's estimates: each from when all of its frame has arrived."""
+
+    def __init__(self, found: Epochs, node: int, beliefs: list[Belief]) -> None:
+        self._unborn, self._beliefs, self._t_ns = Belief.unborn(found.tracks), beliefs, found.t_ns
+        frames = [epoch.node == node for epoch in found.epochs]
+        self._sent = np.flatnonzero([frame.any() for frame in frames])
+        self._arrival_ns = np.array(
+            [found.epochs[k].received_ns[frames[k]].max() for k in self._sent], np.int64
+        )
+        never = self._arrival_ns > found.t_ns[-1]
+        for k in self._sent[never]:
+            rows = found.epochs[k].row[frames[k]]
+            found.verdicts["detections"].set(rows, Verdict.LATE, "came after the end")
+
+    def at(self, t_ns: int) -> Belief:
+        """The newest estimate that has come, moved on to an instant."""
+        come = self._sent[(self._arrival_ns <= t_ns) & (self._t_ns[self._sent] <= t_ns)]
+        if not len(come):
+            return self._unborn
+        k = int(come[-1])
+        return self._beliefs[k].predicted((t_ns - int(self._t_ns[k])) / 1e9)
 
 
 def _joined(beliefs: list[Belief]) -> Belief:

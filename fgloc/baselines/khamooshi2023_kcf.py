@@ -25,7 +25,7 @@ from fgloc.baselines.consensus import gamma, gamma_star, rank_of, star
 from fgloc.baselines.joint import Belief, Information, model, of_car, of_node
 from fgloc.baselines.packets import Network, Packet
 from fgloc.correspondence.epochs import Epochs
-from fgloc.correspondence.results import cooperative_result
+from fgloc.correspondence.results import TrackStates, cooperative_result
 from fgloc.correspondence.tracks import track_objects
 from fgloc.drive import Drive
 from fgloc.measurements import Array
@@ -90,9 +90,10 @@ def run_sources(drive: Drive, sources: Sources, method: str = "khamooshi2023-kcf
             Verdict.LATE,
             f"came {LATEST_S:g} s late or more",
         )
+    columns = [b.x for b in beliefs], [b.P for b in beliefs], [b.born for b in beliefs]
     return cooperative_result(
-        drive, method, found, [b.x for b in beliefs], [b.P for b in beliefs],
-        [b.born for b in beliefs], packets=network.sent, packets_late=len(late), consensus=checks,
+        drive, method, found, TrackStates.of_all(*columns), packets=network.sent,
+        packets_late=len(late), consensus=checks,
     )  # fmt: skip
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,12 @@ class Epoch:
     told_m: Array = field(default_factory=lambda: np.empty((0, 2)))
     told_R_m2: Array = field(default_factory=lambda: np.empty((0, 2, 2)))
 
+    @classmethod
+    def empty(cls, t_ns: int) -> "Epoch":
+        """An instant at which nothing was measured."""
+        none = np.empty(0, np.int64)
+        return cls(t_ns, none, none, np.empty((0, 2)), np.empty((0, 2, 2)), none, none)
+
 
 @dataclass(frozen=True, eq=False)
 class Epochs:
@@ -63,3 +69,9 @@ class Epochs:
     def t_ns(self) -> Instants:
         """(N,) the instants."""
         return np.array([epoch.t_ns for epoch in self.epochs], np.int64)
+
+    def with_instants(self, t_ns: Instants) -> "Epochs":
+        """The same with empty ones at more instants."""
+        more = [Epoch.empty(int(t)) for t in np.setdiff1d(t_ns, self.t_ns)]
+        epochs = sorted([*self.epochs, *more], key=lambda epoch: epoch.t_ns)
+        return replace(self, epochs=epochs)

@@ -5,7 +5,7 @@ nothing, and their results say so by `FLAT_COV`.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,39 @@ from fgloc.verdicts import SourceVerdicts, Verdict, counts
 FLAT_COV = np.diag([0, 0, 1.0, 0.1**2, 0.1**2, 0])
 """Variance of height (m^2), roll and pitch (rad^2) of what is taken to move on a plane."""
 _PLANAR = np.array([0, 1, 5])
+
+
+@dataclass(frozen=True, eq=False)
+class TrackStates:
+    """What is believed of tracks (n,) at instants (n,), in order of time.
+
+    state  (n, 4) East and North in m, velocity East and North in m/s; cov (n, 4, 4)
+    """
+
+    instant: NDArray[np.int64]
+    track: NDArray[np.int64]
+    state: Array
+    cov: Array
+
+    @classmethod
+    def of_all(cls, x: list[Array], P: list[Array], born: list[NDArray[np.bool_]]) -> "TrackStates":
+        """From states (4K,) and covariances (4K, 4K) of all K tracks, of those that are born."""
+        instant, track = np.nonzero(born)
+        at = 4 * track[:, None] + np.arange(4)
+        cov = [P[k][np.ix_(rows, rows)] for k, rows in zip(instant, at, strict=True)]
+        state = np.array(x)[instant[:, None], at]
+        return cls(instant, track, state, np.array(cov).reshape(-1, 4, 4))
+
+    @classmethod
+    def joined(cls, parts: list["TrackStates"]) -> "TrackStates":
+        """One after the other."""
+        columns = zip(*((p.instant, p.track, p.state, p.cov) for p in parts), strict=True)
+        return cls(*map(np.concatenate, columns))
+
+    def __getitem__(self, which: NDArray[np.bool_]) -> "TrackStates":
+        return TrackStates(
+            self.instant[which], self.track[which], self.state[which], self.cov[which]
+        )
 
 
 def planar_result(
@@ -58,36 +91,31 @@ def cooperative_result(
     drive: Drive,
     method: str,
     found: Epochs,
-    x: list[Array],
-    P: list[Array],
-    born: list[NDArray[np.bool_]],
+    tracks: TrackStates,
     *,
     causal: bool = True,
     **more: Any,
 ) -> Result:
-    """States [East, North, and their velocities] (4K,) of all tracks at each instant as a result.
+    """What is believed of all tracks, the car among them, as a result.
 
     The car's heading is that on which its objects and the nodes' agree, or else its course. The
     other tracks become `objects`, from their first sighting on. `more` goes into the summary.
     """
-    ego = slice(4 * found.ego, 4 * found.ego + 4)
-    there = [k for k, b in enumerate(born) if b[found.ego]]
-    if not there:
+    own = tracks[tracks.track == found.ego]
+    if not len(own.track):
         raise DriveError(
             f"{method} on drive {drive.name!r}: nothing that takes part places the car in the world"
         )
-    t_ns = found.t_ns[there]
-    states, cov = np.zeros((len(there), 3)), np.zeros((len(there), 3, 3))
-    for row, k in enumerate(there):
-        epoch, mean, block = found.epochs[k], x[k][ego], P[k][ego, ego]
-        yaw, variance = epoch.yaw_rad, epoch.yaw_var
+    states, cov = np.zeros((len(own.track), 3)), np.zeros((len(own.track), 3, 3))
+    states[:, :2], cov[:, :2, :2] = own.state[:, :2], own.cov[:, :2, :2]
+    for row, k in enumerate(own.instant):
+        yaw, variance = found.epochs[k].yaw_rad, found.epochs[k].yaw_var
         if not np.isfinite(yaw):
-            yaw, variance = _course(mean[2:], block[2:, 2:])
-        states[row] = [*mean[:2], yaw]
-        cov[row, :2, :2], cov[row, 2, 2] = block[:2, :2], variance
-    objects = _tracks(found, x, P, born)
+            yaw, variance = _course(own.state[row, 2:], own.cov[row, 2:, 2:])
+        states[row, 2], cov[row, 2, 2] = yaw, variance
+    t_ns = found.t_ns[own.instant]
     result = planar_result(drive, method, t_ns, states, cov, found.verdicts, causal=causal, **more)
-    return replace(result, objects=objects)
+    return replace(result, objects=_objects(found, tracks[tracks.track != found.ego]))
 
 
 def _course(v_mps: Array, cov: Array) -> tuple[float, float]:
@@ -98,17 +126,9 @@ def _course(v_mps: Array, cov: Array) -> tuple[float, float]:
     return float(np.arctan2(v_mps[1], v_mps[0])), min(variance, np.pi**2 / 3)
 
 
-def _tracks(
-    found: Epochs, x: list[Array], P: list[Array], born: list[NDArray[np.bool_]]
-) -> ObjectTracks:
-    """All but the car."""
-    names = [track for track in range(found.tracks) if track != found.ego]
-    rows = [(k, t) for k in range(len(x)) for t in names if born[k][t]]
-    t_ns = found.t_ns[[k for k, _ in rows]]
-    at = [slice(4 * t, 4 * t + 4) for _, t in rows]
-    state = np.array([x[k][a] for (k, _), a in zip(rows, at, strict=True)]).reshape(-1, 4)
-    cov = np.array([P[k][a, a] for (k, _), a in zip(rows, at, strict=True)]).reshape(-1, 4, 4)
-    user = {track: number for number, track in found.users.items()}
-    track_id = np.array([t for _, t in rows], np.int64)
-    user_id = np.array([user.get(t, -1) for _, t in rows], np.int64)
-    return ObjectTracks(t_ns, t_ns, track_id, user_id, state, cov)
+def _objects(found: Epochs, tracks: TrackStates) -> ObjectTracks:
+    """Tracks with the numbers of those who say where they are."""
+    user = np.full(found.tracks, -1)
+    user[list(found.users.values())] = list(found.users)
+    t_ns = found.t_ns[tracks.instant]
+    return ObjectTracks(t_ns, t_ns, tracks.track, user[tracks.track], tracks.state, tracks.cov)

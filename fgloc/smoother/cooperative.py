@@ -1,4 +1,4 @@
-"""The cooperative graph solved: the whole drive at once, or iSAM2 as it grows or over a fixed lag.
+"""The cooperative graph solved: the whole drive at once, or as it grows, whole or over a fixed lag.
 
 The car and all road users that nodes and the car see; see `cooperative_model`. What the car tells
 of others is linear only about a heading: online about the last estimate, in a batch about its own
@@ -6,6 +6,8 @@ answer, again and again. A batch also asks again which track a node's sighting i
 """
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -13,22 +15,25 @@ from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
 from fgloc.correspondence.epochs import Epochs
-from fgloc.correspondence.results import cooperative_result
+from fgloc.correspondence.results import TrackStates, cooperative_result
 from fgloc.correspondence.rigid import wrapped
 from fgloc.correspondence.tracks import track_objects
 from fgloc.drive import Drive
 from fgloc.errors import InputError, SolverError
-from fgloc.infrastructure import Node
 from fgloc.measurements import Array
-from fgloc.result import Result
-from fgloc.smoother.cooperative_model import (
+from fgloc.result import Event, Result
+from fgloc.smoother.cooperative_graph import (
     Builder,
+    Grown,
     heading_key,
-    of_node,
     slow_key,
     state_key,
     survey_key,
 )
+from fgloc.smoother.cooperative_lag import Window
+from fgloc.smoother.cooperative_model import Roster, of_node, sighted
+from fgloc.smoother.cooperative_odometry import own_motion
+from fgloc.smoother.cooperative_start import Start
 from fgloc.verdicts import Verdict
 
 ROUNDS, STILL_RAD = 8, 1e-3
@@ -36,30 +41,17 @@ ROUNDS, STILL_RAD = 8, 1e-3
 FAR_BETTER = 50.0
 """Sightings of one frame go to other tracks where the sum of their squares falls by so much."""
 _NAMES = {"batch": "graph-batch", "incremental": "graph-incremental", "fixed-lag": "graph-lag"}
-_FOREVER_S = 1e9
-
-
-class Beliefs:
-    """What is believed of all tracks at each instant: x (4K,), P (4K, 4K), born (K,), heading."""
-
-    def __init__(self, instants: int, tracks: int) -> None:
-        self.x = [np.zeros(4 * tracks) for _ in range(instants)]
-        self.P = [np.eye(4 * tracks) for _ in range(instants)]
-        self.born: list[NDArray[np.bool_]] = [np.zeros(tracks, bool) for _ in range(instants)]
-        self.yaw = [(math.nan, math.nan)] * instants
-
-    def set(self, k: int, track: int, mean: Array, cov: Array) -> None:
-        """The belief of one track at one instant."""
-        at = slice(4 * track, 4 * track + 4)
-        self.x[k][at], self.P[k][at, at], self.born[k][track] = mean, (cov + cov.T) / 2, True
+Found = tuple[TrackStates, int, dict[int, Array]]
+"""What was found of all tracks, the number of factors, and the errors of surveys by node."""
 
 
 def run_cooperative(drive: Drive, config: SmoothConfig) -> Result:
     """All road users of a drive by the graph, as `config.mode` says.
 
-    Of the configuration only the mode and the lag are in force. Raises DriveError where the drive
-    has no detections of nodes or the car is never found,
-    SolverError where the graph cannot be solved, InputError where `smoothed` is asked for.
+    Of the configuration the mode and the lag are in force, and what `motion` and `vehicle` say of a
+    drive without an IMU. Raises DriveError where the drive has no detections of nodes or the car is
+    never found, SolverError where the graph cannot be solved, InputError where `smoothed` is asked
+    for.
     """
     if config.smoothed:
         raise InputError(
@@ -67,58 +59,87 @@ def run_cooperative(drive: Drive, config: SmoothConfig) -> Result:
         )
     method = _NAMES[config.mode]
     found = track_objects(drive, method)
-    nodes = drive.infrastructure.nodes
-    beliefs = Beliefs(len(found.epochs), found.tracks)
+    own = own_motion(drive, config, found)
+    if own is not None:
+        found = found.with_instants(own.t_ns)
+    roster = Roster(found.ego, drive.infrastructure.nodes, found.slow, own)
     try:
         if config.mode == "batch":
-            factors, survey = _batch(found, nodes, beliefs)
+            tracks, factors, survey = _batch(found, roster)
+        elif config.mode == "incremental":
+            tracks, factors, survey = run_online(found, roster, Grown(roster), math.inf)
         else:
-            lag_s = config.lag_s if config.mode == "fixed-lag" else _FOREVER_S
-            factors, survey = _online(found, nodes, beliefs, lag_s)
-    except RuntimeError as err:
+            window = Window(roster, config.lag_s)
+            tracks, factors, survey = run_online(found, roster, window, config.lag_s)
+    except (RuntimeError, np.linalg.LinAlgError) as err:
         raise SolverError(f"drive {drive.name!r}: the cooperative graph: {err}") from err
-    for epoch, (mean, variance) in zip(found.epochs, beliefs.yaw, strict=True):
-        epoch.yaw_rad, epoch.yaw_var = mean, variance
-    states = int(sum(born.sum() for born in beliefs.born))
-    causal = config.mode != "batch"
-    return cooperative_result(
-        drive, method, found, beliefs.x, beliefs.P, beliefs.born, causal=causal,
-        mode=config.mode, factors=factors, states=states,
-        survey={nodes[i].name: offset.tolist() for i, offset in survey.items()},
+    if own is not None:
+        own.credit(turned=bool(np.isfinite([epoch.yaw_rad for epoch in found.epochs]).any()))
+    result = cooperative_result(
+        drive, method, found, tracks, causal=config.mode != "batch",
+        mode=config.mode, factors=factors, states=len(tracks.track),
+        survey={roster.nodes[i].name: offset.tolist() for i, offset in survey.items()},
     )  # fmt: skip
+    return replace(result, events=tuple(_remarks(drive, int(found.t_ns[0]))))
 
 
-def _batch(
-    found: Epochs, nodes: tuple[Node, ...], beliefs: Beliefs
-) -> tuple[int, dict[int, Array]]:
+def _remarks(drive: Drive, t_ns: int) -> Iterator[Event]:
+    """What the drive states and this graph does not take."""
+    for what, arm_m in (("antenna", drive.rig.p_veh_ant_m), ("box", drive.rig.p_veh_box_m)):
+        if arm_m[:2].any():
+            text = (f"the graph of several road users takes the car's {what} to be at its origin; "
+                    f"it is {np.hypot(*arm_m[:2]):.2f} m from there")  # fmt: skip
+            yield Event(t_ns, "lever-arm", text)
+
+
+def _batch(found: Epochs, roster: Roster) -> Found:
     """Everything at once, linearised again about the headings that were found."""
     headings = _continuous([epoch.yaw_rad for epoch in found.epochs])
     for _ in range(ROUNDS):
-        builder = Builder(found.ego, nodes, found.slow)
+        builder = Builder(roster.afresh())
         graph, alive = gtsam.NonlinearFactorGraph(), []
         for k, epoch in enumerate(found.epochs):
             part = builder.begin(epoch, headings[k])
             builder.sightings(part, epoch, k, headings[k])
             graph.push_back(part.graph)
-            alive.append(sorted(builder.last))
+            alive.append(sorted(builder.last.tracks))
         delta = graph.linearize(builder.zeros).optimize()
-        known = [k for k in range(len(alive)) if builder.zeros.exists(heading_key(k))]
+        known = {k for k in range(len(alive)) if builder.zeros.exists(heading_key(k))}
         turned = 0.0
         for k in known:
             heading = float(delta.at(heading_key(k))[0])
             turned, headings[k] = max(turned, abs(heading - headings[k])), heading
         revised = _revise(found, alive, delta)
+        if not known and roster.own is not None:
+            courses = _courses(roster, found, alive, delta)
+            headings = roster.own.headings(found.t_ns, courses).tolist()
+            turned = 0.0 if np.isnan(headings).all() else math.inf
         if turned < STILL_RAD and not revised:
             break
     marginals = gtsam.Marginals(graph, builder.zeros.retract(delta))
+    for k, epoch in enumerate(found.epochs):
+        epoch.yaw_rad = epoch.yaw_var = math.nan
+        if k in known:
+            epoch.yaw_rad = wrapped(headings[k])
+            epoch.yaw_var = float(marginals.marginalCovariance(heading_key(k))[0, 0])
+    instant = np.repeat(np.arange(len(alive)), [len(tracks) for tracks in alive])
+    track = np.concatenate(alive).astype(np.int64)
+    keys = [state_key(int(t), int(k)) for k, t in zip(instant, track, strict=True)]
+    states = TrackStates(instant, track, np.array([delta.at(key) for key in keys]),
+                         np.array([marginals.marginalCovariance(key) for key in keys]))  # fmt: skip
+    return states, builder.factors, {i: delta.at(survey_key(i)) for i in builder.survey}
+
+
+def _courses(
+    roster: Roster, found: Epochs, alive: list[list[int]], delta: gtsam.VectorValues
+) -> Array:
+    """(n,) heading of the car where it drives, rad; NaN elsewhere."""
+    courses = np.full(len(alive), np.nan)
     for k, tracks in enumerate(alive):
-        for track in tracks:
-            key = state_key(track, k)
-            beliefs.set(k, track, delta.at(key), marginals.marginalCovariance(key))
-    for k in known:
-        variance = float(marginals.marginalCovariance(heading_key(k))[0, 0])
-        beliefs.yaw[k] = (wrapped(headings[k]), variance)
-    return builder.factors, {i: delta.at(survey_key(i)) for i in builder.survey}
+        if roster.own is not None and roster.ego in tracks:
+            state = delta.at(state_key(roster.ego, k))
+            courses[k] = roster.own.course(found.epochs[k].t_ns, state)
+    return courses
 
 
 def _revise(found: Epochs, alive: list[list[int]], delta: gtsam.VectorValues) -> bool:
@@ -149,61 +170,58 @@ def _revise(found: Epochs, alive: list[list[int]], delta: gtsam.VectorValues) ->
     return revised
 
 
-def _online(
-    found: Epochs, nodes: tuple[Node, ...], beliefs: Beliefs, lag_s: float
-) -> tuple[int, dict[int, Array]]:
-    """Instant by instant; sightings of nodes enter when they arrive, at the state they are of."""
-    builder = Builder(found.ego, nodes, found.slow)
-    tree = new_tree(lag_s, close=bool(found.users))  # users have clocks of their own
-    waiting: list[tuple[int, int, int]] = []  # arrival, instant, row of the instant
-    sighted: set[int] = set()
-    yaw = math.nan
-    for k, epoch in enumerate(found.epochs):
-        about = yaw if math.isfinite(yaw) else epoch.yaw_rad
-        part = builder.begin(epoch, about)
-        waiting += [(int(at), k, i) for i, at in enumerate(epoch.received_ns)]
-        due = [one for one in waiting if one[0] <= epoch.t_ns]
-        waiting = [one for one in waiting if one[0] > epoch.t_ns]
-        for _, of, i in due:
-            late = found.epochs[of]
-            if (epoch.t_ns - late.t_ns) / 1e9 > lag_s:
-                reason = f"came later than the lag of {lag_s:g} s"
-                found.verdicts["detections"].set(late.row[i], Verdict.LATE, reason)
-                continue
-            builder.node_sighting(part, late, i, of)
-            sighted.add(int(late.track[i]))
-        builder.car_sightings(part, epoch, k, about)
-        sighted |= {int(track) for track in (*epoch.seen, *epoch.told)}
-        if epoch.fix_m is not None:
-            sighted.add(found.ego)
-        tree.update(part.graph, part.values, builder.stamps(part))
-        for track in sorted(builder.last.keys() & sighted):
-            beliefs.set(k, track, *_estimate(tree, state_key(track, k)))
-        if builder.heading == k:
-            mean, variance = _estimate(tree, heading_key(k))
-            yaw = float(mean[0])
-            beliefs.yaw[k] = (wrapped(yaw), float(variance[0, 0]))
-    for at, of, i in waiting:
-        reason = f"came {(at - found.epochs[-1].t_ns) / 1e9:.2f} s after the end"
-        found.verdicts["detections"].set(found.epochs[of].row[i], Verdict.LATE, reason)
-    return builder.factors, {i: tree.calculateEstimateVector(survey_key(i)) for i in builder.survey}
+def run_online(found: Epochs, roster: Roster, graph: Grown | Window, lag_s: float) -> Found:
+    """Instant by instant; sightings of nodes enter when they arrive, at the state they are of.
 
-
-def new_tree(lag_s: float, *, close: bool = False) -> gtsam.IncrementalFixedLagSmoother:
-    """iSAM2 over a lag. All factors are linear where they stand, so nothing is relinearised.
-
-    Where instants may be `close`, a fraction of a millisecond apart, it takes QR, which is slower.
+    Those that are older than `lag_s` get their verdicts, and the instants their headings.
     """
-    params = gtsam.ISAM2Params()
-    params.setRelinearizeThreshold(1e9)
-    params.findUnusedFactorSlots = True
-    if close:
-        params.setFactorization("QR")
-    return gtsam.IncrementalFixedLagSmoother(lag_s, params)
+    *arriving, never = _arrivals(found)
+    states: list[TrackStates] = []
+    told: set[int] = set()
+    yaw, start = math.nan, Start(roster.ego, roster.own)
+    for k, (epoch, arrived) in enumerate(zip(found.epochs, arriving, strict=True)):
+        oldest_ns = epoch.t_ns - lag_s * 1e9
+        in_time = {of: rows for of, rows in arrived.items() if found.epochs[of].t_ns >= oldest_ns}
+        for of in arrived.keys() - in_time.keys():
+            _late(found, of, arrived[of], f"came later than the lag of {lag_s:g} s")
+        if not math.isfinite(yaw):
+            yaw = (
+                epoch.yaw_rad
+                if math.isfinite(epoch.yaw_rad)
+                else start.heading(
+                    epoch, [(found.epochs[of], rows) for of, rows in in_time.items()]
+                )
+            )
+        graph.update(epoch, yaw, in_time)
+        told |= sighted(replace(epoch, track=np.empty(0, np.int64)), found.ego)
+        for of, rows in in_time.items():
+            told |= set(found.epochs[of].track[rows].tolist())
+        tracks = sorted(told & set(graph.tracks))
+        instant = np.full(len(tracks), k)
+        states.append(TrackStates(instant, np.array(tracks, np.int64), *graph.states(tracks)))
+        yaw, epoch.yaw_var = graph.heading()
+        epoch.yaw_rad = wrapped(yaw) if math.isfinite(yaw) else yaw
+    end_ns = found.epochs[-1].t_ns
+    for of, rows in never.items():
+        for i in rows:
+            after_s = (found.epochs[of].received_ns[i] - end_ns) / 1e9
+            _late(found, of, np.array([i]), f"came {after_s:.2f} s after the end")
+    return TrackStates.joined(states), graph.factors, graph.survey()
 
 
-def _estimate(tree: gtsam.IncrementalFixedLagSmoother, key: int) -> tuple[Array, Array]:
-    return tree.calculateEstimateVector(key), tree.getISAM2().marginalCovariance(key)
+def _arrivals(found: Epochs) -> list[dict[int, NDArray[np.int64]]]:
+    """For each instant, and for after the last: the instants that are told of, and which rows."""
+    arriving: list[dict[int, NDArray[np.int64]]] = [{} for _ in range(len(found.epochs) + 1)]
+    for k, epoch in enumerate(found.epochs):
+        at = np.searchsorted(found.t_ns, np.maximum(epoch.received_ns, epoch.t_ns))
+        for one in np.unique(at):
+            arriving[one][k] = np.flatnonzero(at == one)
+    return arriving
+
+
+def _late(found: Epochs, k: int, rows: NDArray[np.int64], reason: str) -> None:
+    """Sightings of an instant that are not used."""
+    found.verdicts["detections"].set(found.epochs[k].row[rows], Verdict.LATE, reason)
 
 
 def _continuous(headings: list[float]) -> list[float]:

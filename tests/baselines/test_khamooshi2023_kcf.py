@@ -214,6 +214,21 @@ def test_late_packets_are_put_where_they_belong_and_lost_ones_are_missed():
     assert run_sources(lossy, Sources()).summary["packets"] < 0.7 * a.summary["packets"]
 
 
+def test_an_estimate_that_comes_late_is_moved_on_and_intersected_then():
+    punctual, late = (scenario("one-node", 0, onboard=False, latency_s=s) for s in (0.0, 0.3))
+    now, then = (baselines.run(d, "covariance-intersection") for d in (punctual, late))
+    assert now.verdicts["detections"].is_(Verdict.USED).all()
+    assert then.verdicts["detections"].counts()[Verdict.LATE] == 3  # the last three instants
+    old, new = now.trajectory, then.trajectory
+    n = len(new.t_ns)
+    assert np.array_equal(new.t_ns, old.t_ns[:n] + 300_000_000)
+    step = np.diff(new.p_world_m[:, :2], axis=0)
+    assert np.linalg.norm(new.p_world_m[1:, :2] - old.p_world_m[1:n, :2], axis=1).mean() == (
+        pytest.approx(3 * np.linalg.norm(step, axis=1).mean(), rel=0.3)  # three steps further on
+    )
+    assert (new.cov[:, 0, 0] > old.cov[:n, 0, 0]).all()
+
+
 def test_the_summary_tells_of_stability_and_of_what_is_observable():
     summary = baselines.run(scenario("two-nodes", 0), "khamooshi2023-kcf").summary["consensus"]
     assert summary["gamma_star_min"] > 0 and 0 < summary["gamma_max"] < 0.1

@@ -27,7 +27,7 @@ NEAR_NS, WRONG_M = 100_000_000, 3.0
 ALONE = ("raw:gnss", "raw:detections", "lee2021-ekf", "graph-batch", "graph-lag")
 BARE = ("graph-batch", "graph-lag")
 TOGETHER = ("graph-batch", "graph-lag", "khamooshi2023-kcf", "covariance-intersection")
-SLOW = ("graph-lag", "khamooshi2023-kcf", "covariance-intersection")
+SLOW = ("graph-lag alone", "khamooshi2023-kcf", "covariance-intersection")
 Errors = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -39,24 +39,27 @@ def main() -> None:
     parser.add_argument("--slow-seeds", type=int, default=2)
     asked = parser.parse_args()
     for car in CARS:
-        for name in ALONE:
-            show(f"car {car} alone, {name}", [
-                score(alone(drive, name), drive)
-                for drive in drives(asked.source, car, seeds(name, asked))
-            ])  # fmt: skip
-        for name in BARE:
-            show(f"car {car} alone, without odometry, {name}", [
-                score(alone(drive, name), drive)
-                for drive in drives(asked.source, car, seeds(name, asked), odometry=False)
-            ])  # fmt: skip
-    for name in TOGETHER:
-        rows = [both(drive, run(drive, name))
-                for drive in drives(asked.source, 0, seeds(name, asked), others=True)]  # fmt: skip
-        for car in CARS:
-            show(f"car {car} of both, {name}", [row[car] for row in rows])
+        for odometry, names in ((True, ALONE), (False, BARE)):
+            for name in names:
+                show(f"car {car} alone, {_with(odometry)}{name}", [
+                    score(alone(drive, name), drive)
+                    for drive in drives(asked.source, car, seeds(f"{name} alone", asked),
+                                        odometry=odometry)
+                ])  # fmt: skip
+    for odometry, names in ((True, TOGETHER), (False, BARE)):
+        for name in names:
+            rows = [both(drive, run(drive, name))
+                    for drive in drives(asked.source, 0, seeds(name, asked), others=True,
+                                        odometry=odometry)]  # fmt: skip
+            for car in CARS:
+                show(f"car {car} of both, {_with(odometry)}{name}", [row[car] for row in rows])
     wrong = [mistaken(drive) for drive in drives(asked.source, 0, range(asked.seeds), others=True)]
     taken, off = np.sum(wrong, 0)
     print(f"detections taken for a car {taken}, of them more than {WRONG_M:g} m off {off}")
+
+
+def _with(odometry: bool) -> str:
+    return "" if odometry else "without odometry, "
 
 
 def seeds(name: str, asked: argparse.Namespace) -> range:

@@ -17,8 +17,9 @@ from fgloc.errors import DriveError, InputError
 from fgloc.evaluation.objects import errors_by_object
 from fgloc.infrastructure import Infrastructure, Node
 from fgloc.smoother import is_cooperative
-from fgloc.smoother.cooperative import new_tree
-from fgloc.smoother.cooperative_model import DEATH_S, Builder, motion, state_key
+from fgloc.smoother.cooperative_graph import Grown
+from fgloc.smoother.cooperative_lag import Window
+from fgloc.smoother.cooperative_model import DEATH_S, Roster, motion
 from fgloc.verdicts import Verdict
 
 NAMES = ("one-node", "two-nodes", "acceleration", "correspondence", "intersection")
@@ -179,25 +180,27 @@ def epoch(t_ns, *places):
     )  # fmt: skip
 
 
-def test_a_track_ends_where_nobody_sees_it_and_another_begins():
-    builder, tree = Builder(0, (Node("n", np.zeros(3)),)), new_tree(5.0)
+GROWING = {"whole": Grown, "lag": lambda roster: Window(roster, 5.0)}
+
+
+@pytest.mark.parametrize("kind", GROWING)
+def test_a_track_ends_where_nobody_sees_it_and_another_begins(kind):
+    graph = GROWING[kind](Roster(0, (Node("n", np.zeros(3)),)))
     seen = [epoch(0, (0, 0), (5, 5)), *(epoch(int(1e9 * t), (0, 0)) for t in (1, 2, 3, 4, 5, 6)),
             epoch(int(7e9), (0, 0), (90, 90))]  # fmt: skip
     alive = []
     for k, one in enumerate(seen):
-        part = builder.begin(one, np.nan)
-        builder.sightings(part, one, k, np.nan)
-        tree.update(part.graph, part.values, builder.stamps(part))
-        alive.append(1 in builder.last)
+        graph.update(one, np.nan, {k: np.arange(len(one.track))})
+        alive.append(1 in graph.tracks)
     assert alive == [True, *(t <= DEATH_S for t in (1, 2, 3, 4, 5, 6)), True]
-    assert tree.calculateEstimateVector(state_key(1, 7))[:2] == pytest.approx([90, 90], abs=1e-2)
+    assert graph.states([1])[0][0, :2] == pytest.approx([90, 90], abs=1e-2)
 
 
-def test_the_whitener_of_the_motion_is_that_of_its_noise():
-    F, W = motion(0.1)
-    half_F, half_W = motion(0.05)
-    Q, half = np.linalg.inv(W.T @ W), np.linalg.inv(half_W.T @ half_W)
+def test_the_noise_of_the_motion_adds_up_over_half_steps():
+    F, Q = motion(0.1)
+    half_F, half = motion(0.05)
     assert half_F @ half @ half_F.T + half == pytest.approx(Q)
+    assert half_F @ half_F == pytest.approx(F)
     assert F[0, 2] == 0.1
 
 
