@@ -26,7 +26,6 @@ from fgloc.frames import (
     skew,
 )
 from fgloc.measurements import Array
-from fgloc.portions import on_all_cores
 
 SAMPLES_AT_ONCE = 6_000
 """Intervals are taken in portions of about so many samples, which fit the processor's cache."""
@@ -47,8 +46,7 @@ def preintegrate(
                     np.zeros(shape), np.zeros((*shape, 6)))  # fmt: skip
     variances = [_variances(noise, shape[1]) for noise in (accel_noise, gyro_noise)]
     count = stops - first
-
-    def fill(rows: slice) -> None:
+    for rows in _portions(count[-1]):
         sample = first[rows] + np.arange(count[-1, rows].max(initial=0))[:, None]
         sample = np.minimum(sample, max(len(dt_s) - 1, 0))
         path = _Path(
@@ -59,8 +57,6 @@ def preintegrate(
             delta, by_bias, cov = path.sums(upto, *(v[:, rows] for v in variances))
             out.delta[s, rows], out.by_bias[s, rows], out.cov[s, rows] = delta, by_bias, cov
             out.dt_s[s, rows] = path.dt_until(upto).sum(0)
-
-    on_all_cores(fill, _portions(count[-1]))
     return out
 
 

@@ -58,7 +58,7 @@ class Band:
         self.panels = _panels(self._columns, n)
         self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
-        self._empty = True
+        self._lowest = n  # nothing has been added to the blocks before this one
 
     def add(
         self, blocks: NDArray[np.int64], at: NDArray[np.int64], J: Array, gradient: Array
@@ -71,14 +71,14 @@ class Band:
         """
         d, m = self.gradient.blocks.shape[1], len(at)
         here, after = _span(blocks), _span(blocks + 1)
-        first_of_all = self._touched(blocks)
+        untouched = self._touched(blocks)
         for own, first, squares in _pieces(tuple(at.tolist()), d):
             rows = here if first < d else after
             place = slice(first % d, first % d + own.stop - own.start)
             # A stack of its own: numpy takes much longer for a matrix times itself.
             back = J[:, :, own].copy().swapaxes(-1, -2)
             for other, further in squares:
-                if first_of_all and first < d:  # what is all zeros need not be read
+                if untouched and first < d:  # what is all zeros need not be read
                     np.matmul(back, J[:, :, other], out=self.panels[rows, place, further])
                 else:
                     self.panels[rows, place, further] += back @ J[:, :, other]
@@ -107,37 +107,10 @@ class Band:
         self.gradient.blocks[after, _span(at)] += weight * error
 
     def _touched(self, blocks: NDArray[np.int64]) -> bool:
-        """Note that something is added to some blocks and to those after each; whether they follow
-        each other, and it is the first: then what they hold is all zeros."""
-        first, self._empty = self._empty and isinstance(_span(blocks), slice), False
-        return first
-
-    def put(self, first: int, part: "Band") -> "Band":
-        """Take over what a part holds that was added up apart, as the blocks from a first one on.
-
-        The part's last block is where the next one begins: it is given back, to be joined (`join`)
-        when all are put, in the order of the parts, so that the sums are always the same.
-        """
-        _clear_upper(part.panels)  # while they are in the cache
-        last = len(part.gradient.blocks) - 1
-        rows, d = slice(first, first + last), part.gradient.blocks.shape[1]
-        self._columns[first * d : (first + last) * d] = part._columns[: last * d]
-        self.border[rows] = part.border[:last]
-        self.gradient.blocks[rows] = part.gradient.blocks[:last]
-        rest = Band(1, *part.border.shape[1:])
-        rest._columns[:] = part._columns[last * d :]
-        rest.border[:], rest.gradient.blocks[:] = part.border[last:], part.gradient.blocks[last:]
-        rest.corner, rest.gradient.border[:] = part.corner, part.gradient.border
-        return rest
-
-    def join(self, block: int, rest: "Band") -> None:
-        """Add what a part holds of the block after it, and of the border."""
-        if block < len(self.gradient.blocks):
-            self.panels[block] += rest.panels[0]
-            self.border[block] += rest.border[0]
-            self.gradient.blocks[block] += rest.gradient.blocks[0]
-        self.corner += rest.corner
-        self.gradient.border[:] += rest.gradient.border
+        """Note that something is added to some blocks and those after each; whether they follow
+        each other, and nothing was added to them yet: so it is from the last portion back."""
+        before, self._lowest = self._lowest, min(self._lowest, int(blocks[0]))
+        return isinstance(_span(blocks), slice) and int(blocks[-1]) < before
 
     def factor(self, damping: Vector | None = None) -> "BorderedFactor":
         """The Cholesky factor, with a damping (d,) and (k,) on the diagonal, in the place of H.
@@ -149,8 +122,8 @@ class Band:
         if damping is not None:
             self._columns[:, 0].reshape(n, d)[:] += damping.blocks
             corner = corner + np.diag(damping.border)
-        if not self._empty:  # of parts that were put, it is done
-            _clear_upper(self.panels)
+        for c in range(1, d):
+            self.panels[:, c, :c] = 0
         return BorderedFactor(Factor(self._columns, n), self.border, corner)
 
 
@@ -271,12 +244,6 @@ def _panels(columns: Array, n: int) -> Array:
     """The panels (n, d, 2 d) in the memory of a band's columns; see `Band`."""
     d = len(columns) // n
     return columns.reshape(n, -1)[:, : 2 * d * d].reshape(n, d, 2 * d)
-
-
-def _clear_upper(panels: Array) -> None:
-    """Make zeros of what stands above the diagonal of each block."""
-    for c in range(1, panels.shape[1]):
-        panels[:, c, :c] = 0
 
 
 @cache

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,6 @@ from fgloc.errors import SolverError
 from fgloc.factors import imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
-from fgloc.portions import on_all_cores
 from fgloc.smoother import clocks, sketch
 from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector, square
 from fgloc.smoother.guess import misfit
@@ -166,39 +166,10 @@ class Chain(Terms):
         covariances are taken from.
         """
         band, cost = Band(self.n, self.width, self.border.size), 0.0
-
-        def portion(first: int) -> tuple[float, Band]:
-            value, part = self._portion(states, robust, curvature, first)
-            return value, band.put(first, part)
-
-        starts = range(0, self.n, BLOCKS_AT_ONCE)
-        for first, (value, rest) in zip(starts, on_all_cores(portion, starts), strict=True):
-            band.join(first + BLOCKS_AT_ONCE, rest)
-            cost += value
+        for first in reversed(range(0, self.n, BLOCKS_AT_ONCE)):  # as `Band` likes it
+            for term in self.at(states, robust, first, min(first + BLOCKS_AT_ONCE, self.n)):
+                cost += _add(band, term, "plain" if robust.plain else curvature)
         self._share_biases(band.gradient.blocks)
-        return cost, band
-
-    def _portion(
-        self, states: States, robust: Robustness, curvature: Curvature, first: int
-    ) -> tuple[float, Band]:
-        """What begins at `BLOCKS_AT_ONCE` keyframes from a first one on: cost and equations."""
-        stop = min(first + BLOCKS_AT_ONCE, self.n)
-        cost, band = 0.0, Band(stop - first + 1, self.width, self.border.size)
-        for term in self.at(states, robust, first, stop):
-            if isinstance(term, Step):
-                cost += term.cost
-                band.add_steps(term.blocks - first, term.at, term.phi, term.change, term.sigma)
-                continue
-            J, e = term.jacobian, term.error
-            if term.loss != "none" and term.width < np.inf and not robust.plain:
-                value, across, along = _loss(term)
-                gradient = np.matmul((e * across)[:, None], J)[:, 0]
-                J = _bent(J, e, across, along if curvature == "newton" else across)
-            else:
-                value = float((e * e).sum()) / 2
-                gradient = np.matmul(e[:, None], J)[:, 0]
-            cost += value
-            band.add(term.blocks - first, term.at, J, gradient)
         return cost, band
 
     def _share_biases(self, gradient: Array) -> None:
@@ -303,6 +274,22 @@ def position_errors(model: Model, states: States, rows: NDArray[np.int64]) -> Ar
         late = len(clocks.acting(model.config, model.sources[s].table)) and states.late_s.any()
         error[own] = late_residual(model, states, rows[own], s, told).error if late else told.error
     return error
+
+
+def _add(band: Band, term: Term | Step, curvature: Curvature | Literal["plain"]) -> float:
+    """Add what a term says to normal equations; its cost."""
+    if isinstance(term, Step):
+        band.add_steps(term.blocks, term.at, term.phi, term.change, term.sigma)
+        return term.cost
+    J, e = term.jacobian, term.error
+    if term.loss == "none" or term.width == np.inf or curvature == "plain":
+        band.add(term.blocks, term.at, J, np.matmul(e[:, None], J)[:, 0])
+        return float((e * e).sum()) / 2
+    cost, across, along = _loss(term)
+    gradient = np.matmul((e * across)[:, None], J)[:, 0]
+    J = _bent(J, e, across, along if curvature == "newton" else across)
+    band.add(term.blocks, term.at, J, gradient)
+    return cost
 
 
 def _loss(term: Term) -> tuple[float, Array, Array]:
