@@ -5,6 +5,7 @@ that `fgloc datasets` lists.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -220,6 +221,7 @@ def compare(
     *,
     configs: Mapping[str, str | Path | SmoothConfig] | None = None,
     seeds: Iterable[int] | None = None,
+    options: Mapping[str, Any] | None = None,
     score_from_s: float = 0.0,
 ) -> Comparison:
     """Drives through methods: metrics of each, and differences to the first method, paired in time.
@@ -227,27 +229,34 @@ def compare(
     A method is a graph (`graph-batch`, `graph-incremental`, `graph-lag`; with `:velocity` after it
     the same without the IMU), a baseline, or a `Method` of your own. `configs` adds, after them,
     the graph under other configurations by a label of your choice: `{"robust": "robust.toml"}`;
-    each says its own mode. `seeds` repeats drives that are scenarios' names. A method that fails on
-    a drive is a row that says so. Raises InputError for an
+    each says its own mode. `seeds` repeats drives that are scenarios' names, `options` are those of
+    all such. A method that fails on a drive is a row that says so. Raises InputError for an
     unknown method, a label that is taken or a faulty configuration before anything is run.
     """
     one = isinstance(drives, Drive | str | Path)
     several: list[DriveLike] = [drives] if one else list(drives)  # type: ignore[list-item, arg-type]
     chosen = [method if isinstance(method, Method) else _method(method) for method in methods]
     chosen += [_configured(label, config) for label, config in (configs or {}).items()]
-    return compare_methods(_each(several, seeds), chosen, score_from_s)
+    made_with = dict(options or {})
+    found = compare_methods(_each(several, seeds, made_with), chosen, score_from_s)
+    return replace(found, options=made_with)
 
 
 def _each(
-    drives: Sequence[DriveLike], seeds: Iterable[int] | None
+    drives: Sequence[DriveLike], seeds: Iterable[int] | None, options: Mapping[str, Any]
 ) -> Iterator[tuple[Drive, int | None]]:
     """Drives with the seed each was made with, opened one by one as they are wanted."""
     wanted = None if seeds is None else list(seeds)
-    if wanted is not None and not any(map(is_scenario, drives)):
-        raise InputError("seeds go with scenarios, and none of the drives is given as one by name")
+    if "seed" in options:
+        raise InputError("seed is no option of its own here; give seeds")
+    if (wanted is not None or options) and not any(map(is_scenario, drives)):
+        raise InputError(
+            "seeds and options go with scenarios, and none of the drives is given as one by name"
+        )
     for drive in drives:
-        for seed in wanted if wanted is not None and is_scenario(drive) else (None,):
-            yield load(drive, seed=seed), seed
+        named = is_scenario(drive)
+        for seed in wanted if wanted is not None and named else (None,):
+            yield load(drive, seed=seed, **(options if named else {})), seed
 
 
 def is_scenario(drive: DriveLike) -> bool:

@@ -102,7 +102,7 @@ def test_where_every_run_fails_the_command_does(drive, tmp_path, capsys):
         (["--methods", "raw:gnss,raw:gnss"], "'raw:gnss' is there twice"),
         (["--config", "raw:gnss=x.toml"], "is a method's name or empty"),
         (["--config", "a=none.toml"], "none.toml: No such file"),
-        (["--methods", "raw:gnss", "--seeds", "0:2"], "seeds go with scenarios"),
+        (["--methods", "raw:gnss", "--seeds", "0:2"], "seeds and options go with scenarios"),
     ],
 )
 def test_what_cannot_be_compared_is_refused_in_one_line(folder, tmp_path, capsys, more, says):
@@ -233,3 +233,21 @@ def test_each_method_has_a_line_of_its_own_in_every_panel(table):
 def test_trajectories_are_kept_of_the_first_drives_only():
     table = fgloc.compare("city", ["raw:gnss"], seeds=range(6))
     assert [picture.seed for picture in table.pictures] == [0, 1, 2, 3] and table.drives == 6
+
+
+def test_options_of_a_scenario_go_into_the_table(tmp_path, capsys):
+    out = tmp_path / "out"
+    asked = ["compare", "city", "--methods", "raw:gnss", "--seeds", "1:3", "--out", str(out)]
+    assert main([*asked, "--set", "duration_s=20"]) == 0
+    written = json.loads((out / "compare.json").read_text())
+    assert written["options"] == {"duration_s": 20}
+    assert written["rows"][0]["metrics"]["horizontal_rmse_m"]["n"] <= 20 * 50 + 1
+    assert "duration_s = 20" in (out / "report.html").read_text()
+    assert main([*asked, "--set", "duration=20"]) == 2
+    assert "duration_s" in capsys.readouterr().err
+    assert main([*asked, "--set", "seed=1"]) == 2
+
+
+def test_options_need_a_scenario(drive):
+    with pytest.raises(fgloc.FglocError, match="none of the drives is given as one by name"):
+        fgloc.compare(drive, ["raw:gnss"], options={"duration_s": 20})

@@ -77,13 +77,15 @@ class Labelled(click.ParamType):
     "--seeds", type=Seeds(), metavar="FIRST:END",
     help="Make each scenario with these seeds; END is not among them.",
 )  # fmt: skip
+@options.settings("One option of the scenarios, e.g. duration_s=60")
 @options.out_dir
 @options.score_from
 @options.no_report
 @options.as_json
 def compare(
     drives: tuple[str, ...], methods: str | None, configs: tuple[tuple[str, str], ...],
-    seeds: range | None, out: Path, score_from_s: float, no_report: bool, as_json: bool,
+    seeds: range | None, settings: tuple[str, ...], out: Path, score_from_s: float,
+    no_report: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """The same drives through several methods.
 
@@ -99,11 +101,13 @@ def compare(
         raise click.UsageError(f"--config {twice}=.. is given twice; choose another label")
     if not names and not configs:
         raise click.UsageError("give --methods, --config or both, e.g. --methods graph-batch")
+    options.check_settings(settings)
     outputs.check_folder(out)
     with working(f"comparing {', '.join([*names, *labels])}"):
         found = api.compare(
-            drives, names, configs=dict(configs), seeds=seeds, score_from_s=score_from_s
-        )
+            drives, names, configs=dict(configs), seeds=seeds, score_from_s=score_from_s,
+            options=options.parse_settings(settings),
+        )  # fmt: skip
         outputs.write_comparison(out, found, report=not no_report)
     if as_json:
         print_json(found.to_dict())

@@ -121,12 +121,14 @@ class Picture:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The table of a comparison: rows by drive, then method; `against` is the first method."""
+    """The table of a comparison: rows by drive, then method; `against` is the first method, and
+    `options` are those that scenarios were made with, the seed aside."""
 
     methods: tuple[str, ...]
     rows: tuple[Row, ...]
     score_from_s: float = 0.0
     pictures: tuple[Picture, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def against(self) -> str:
@@ -151,6 +153,7 @@ class Comparison:
         return {
             "methods": list(self.methods), "against": self.against,
             "score_from_s": self.score_from_s, "drives": self.drives,
+            "options": dict(self.options),
             "overall": [one.to_dict() for one in self.overall()],
             "standings": [one.to_dict() for one in self.standings()],
             "rows": [row.to_dict() for row in self.rows],

@@ -84,7 +84,9 @@ def _drives(comparison: Comparison) -> str:
     """The drives' names, with how many there were of each."""
     names = [row.drive for row in comparison.of(comparison.against)]
     counts = {name: names.count(name) for name in names}
-    return ", ".join(f"{name} ({n} drives)" if n > 1 else name for name, n in counts.items())
+    told = ", ".join(f"{name} ({n} drives)" if n > 1 else name for name, n in counts.items())
+    options = ", ".join(f"{key} = {value}" for key, value in comparison.options.items())
+    return f"{told}; {options}" if options else told
 
 
 def _overall_rows(comparison: Comparison) -> list[dict[str, Any]]:
