@@ -3,13 +3,14 @@
 Everything here looks back only: what holds at an instant follows from what was true before it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.config import MotionConfig, SmoothConfig, VehicleConfig
 from fgloc.drive import Drive, VelocityErrors
+from fgloc.factors.velocity import sigma_with_errors
 from fgloc.measurements import (
     Array,
     EnuVelocities,
@@ -164,6 +165,17 @@ def wheel_source(drive: Drive) -> str:
     """The name of the table that `wheel_of` takes."""
     wheel = drive.tables.get("wheel")
     return "wheel" if isinstance(wheel, WheelSpeeds) and len(wheel) else "odometry"
+
+
+def velocity_with_errors(drive: Drive, config: MotionConfig) -> EnuVelocities | None:
+    """The same with lasting errors counted as noise, for who has no state for them."""
+    velocity, lasting = velocity_of(drive), velocity_error_sigmas(drive, config)
+    if velocity is None:
+        return None
+    stated = velocity.sigma_mps
+    sigma_mps = sigma_with_errors(stated, velocity.v_world_mps, lasting)
+    # What is no sigma stays none, for who looks for that.
+    return replace(velocity, sigma_mps=np.where(stated > 0, sigma_mps, stated))
 
 
 def velocity_of(drive: Drive) -> EnuVelocities | None:

@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fgloc.config import load_config
-from fgloc.constraints import NON_HOLONOMIC, STANDSTILL
+from fgloc.config import MotionConfig, load_config
+from fgloc.constraints import NON_HOLONOMIC, STANDSTILL, velocity_with_errors
 from fgloc.datasets import make
-from fgloc.drive import Drive, Rig
+from fgloc.drive import Drive, Rig, VelocityErrors
 from fgloc.frames import Origin
-from fgloc.measurements import GnssFixes, ImuSamples, WheelSpeeds
+from fgloc.measurements import EnuVelocities, GnssFixes, ImuSamples, WheelSpeeds
 from fgloc.sync import plan
 
 START_NS = 1_760_000_000_000_000_000
@@ -121,3 +121,13 @@ def test_in_a_simulated_city_a_car_stands_only_where_it_does():
     truth = drive.truth.at(made.epochs.t_ns[made.constraints.stands])
     assert len(truth) >= 3
     assert np.linalg.norm(truth.v_world_mps, axis=1).max() < 0.2
+
+
+def test_lasting_errors_of_velocities_count_as_noise_for_who_has_no_state_for_them():
+    """5 m/s that may err by 4 % are off by 0.2 m/s more; what is no sigma stays none."""
+    t_ns, v = ns(np.arange(4.0)), np.tile([3.0, 4.0, 0.0], (4, 1))
+    told = EnuVelocities(t_ns, t_ns, v, np.array([0.3, 0.3, 0.0, np.nan]))
+    drive = dataclasses.replace(drive_of(), rig=Rig(velocity_errors=VelocityErrors(0.04, 0.01)))
+    sigma = velocity_with_errors(drive.with_tables(velocity=told), MotionConfig()).sigma_mps
+    np.testing.assert_allclose(sigma, [np.hypot(0.3, 0.2)] * 2 + [0.0, np.nan])
+    assert velocity_with_errors(drive, MotionConfig()) is None

@@ -1,17 +1,16 @@
 """The epochs of the error-state filter: the graph's where there is an IMU, else those of the
 velocities; there is one at every position that was measured."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from fgloc.baselines.eskf_motion import Inertial, Planar
 from fgloc.baselines.eskf_state import Slow
 from fgloc.config import SmoothConfig
-from fgloc.constraints import velocity_error_sigmas
+from fgloc.constraints import velocity_with_errors
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
-from fgloc.factors.velocity import sigma_with_errors
 from fgloc.measurements import Array, EnuVelocities, ImuSamples
 from fgloc.positions import Positions, measured_positions, repeats
 from fgloc.result import Event
@@ -38,7 +37,7 @@ class Timeline:
 
 def timeline(drive: Drive, config: SmoothConfig, slow: Slow) -> Timeline:
     """Epochs from the first usable fix on; DriveError where nothing tells how the vehicle moves."""
-    imu, velocity = drive.tables.get("imu"), drive.tables.get("velocity")
+    imu, velocity = drive.tables.get("imu"), velocity_with_errors(drive, config.motion)
     if isinstance(imu, ImuSamples) and len(imu):
         planned = plan(drive, config)
         epochs = planned.epochs
@@ -46,7 +45,7 @@ def timeline(drive: Drive, config: SmoothConfig, slow: Slow) -> Timeline:
             epochs.t_ns, planned.positions, epochs.rate_radps,
             Inertial(drive, epochs, config.imu, slow), planned.verdicts, planned.events,
         )  # fmt: skip
-    if isinstance(velocity, EnuVelocities) and len(velocity):
+    if velocity is not None and len(velocity):
         return _planar(drive, velocity, config, slow)
     raise DriveError(
         f"drive {drive.name!r}: eskf needs an IMU or the table velocity, and the drive has "
@@ -60,7 +59,7 @@ def _planar(drive: Drive, table: EnuVelocities, config: SmoothConfig, slow: Slow
         for name, other in drive.tables.items()
     }
     own = verdicts["velocity"]
-    velocity = _with_errors(_usable_velocities(drive, table, own), drive, config)
+    velocity = _usable_velocities(drive, table, own)
     span_ns = (int(velocity.t_ns[0]), int(velocity.t_ns[-1]))
     positions = measured_positions(drive, config, span_ns, verdicts)
     fixes = verdicts["gnss"]
@@ -72,13 +71,6 @@ def _planar(drive: Drive, table: EnuVelocities, config: SmoothConfig, slow: Slow
     return Timeline(
         t_ns, positions, np.zeros((len(t_ns), 3)), Planar(velocity, t_ns, slow), verdicts, ()
     )
-
-
-def _with_errors(velocity: EnuVelocities, drive: Drive, config: SmoothConfig) -> EnuVelocities:
-    """Velocities whose lasting errors count as noise: the filter has no state for them."""
-    lasting = velocity_error_sigmas(drive, config.motion)
-    sigma_mps = sigma_with_errors(velocity.sigma_mps, velocity.v_world_mps, lasting)
-    return replace(velocity, sigma_mps=sigma_mps)
 
 
 def _usable_velocities(

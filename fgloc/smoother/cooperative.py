@@ -90,6 +90,11 @@ def _remarks(drive: Drive, t_ns: int) -> Iterator[Event]:
             text = (f"the graph of several road users takes the car's {what} to be at its origin; "
                     f"it is {np.hypot(*arm_m[:2]):.2f} m from there")  # fmt: skip
             yield Event(t_ns, "lever-arm", text)
+    stood = [node.name for i, node in enumerate(drive.infrastructure.nodes)
+             if drive.infrastructure.post_of(i)]  # fmt: skip
+    if stood:
+        text = f"the graph of several road users takes posts to stand still: {', '.join(stood)}"
+        yield Event(t_ns, "posts", text)
 
 
 def _batch(found: Epochs, roster: Roster) -> Found:

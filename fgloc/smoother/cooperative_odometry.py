@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.config import SmoothConfig
-from fgloc.constraints import chosen_rows, velocity_of, wheel_of, wheel_source
+from fgloc.constraints import chosen_rows, velocity_with_errors, wheel_of, wheel_source
 from fgloc.correspondence.epochs import Epochs
 from fgloc.correspondence.rigid import rotation
 from fgloc.drive import AxisNoise, Drive
@@ -52,7 +52,7 @@ class OwnMotion:
         """Raises DriveError where `config.motion.kind` asks for what the drive has not."""
         self.motion = _motion(drive, config, verdicts)
         self._verdicts, self._source = verdicts, wheel_source(drive)
-        self._wheel, self._velocity = wheel_of(drive), velocity_of(drive)
+        self._wheel, self._velocity = wheel_of(drive), velocity_with_errors(drive, config.motion)
         wheels, velocities = chosen_rows(drive, others_ns, config, self.motion, verdicts)
         self._speed_at = _by_instant(self._wheel, wheels)
         self._velocity_at = _by_instant(self._velocity, velocities)

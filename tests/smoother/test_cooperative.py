@@ -15,7 +15,7 @@ from fgloc.datasets import make
 from fgloc.datasets.city import make_city
 from fgloc.errors import DriveError, InputError
 from fgloc.evaluation.objects import errors_by_object
-from fgloc.infrastructure import Infrastructure, Node
+from fgloc.infrastructure import Infrastructure, Node, Post
 from fgloc.smoother import is_cooperative
 from fgloc.smoother.cooperative_graph import Grown
 from fgloc.smoother.cooperative_lag import Window
@@ -220,3 +220,15 @@ def test_a_car_that_is_never_found_is_told():
     tables = {name: table for name, table in drive.tables.items() if name != "gnss"}
     with pytest.raises(DriveError, match="the car is never found among what the nodes see"):
         fgloc.smooth(dataclasses.replace(drive, tables=tables), "batch")
+
+
+def test_a_post_that_this_graph_does_not_follow_is_told():
+    drive = scenario("two-nodes")
+    name = drive.infrastructure.nodes[0].name
+    post = Post(name, 10.0, 1.97, 0.05, 20.1, 0.138, 90.0, 0.7)
+    stood = dataclasses.replace(
+        drive, infrastructure=dataclasses.replace(drive.infrastructure, posts=(post,))
+    )
+    told = [event.text for event in fgloc.smooth(stood, "fixed-lag").events]
+    assert any("posts to stand still" in text and name in text for text in told)
+    assert not any("posts" in e.text for e in fgloc.smooth(drive, "fixed-lag").events)
