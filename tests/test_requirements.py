@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from test_evaluation import straight
+from evaluation.curves import straight
 from test_report import made_drive, made_result, without_scripts, written
 
 from fgloc.evaluation import Answer, errors, judge_requirements

@@ -5,22 +5,23 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fgloc.datasets.registry import make
 from fgloc.evaluation.consistency import nees
 from fgloc.infrastructure import Infrastructure
 from fgloc.perception.square_pose import square_poses
-from fgloc.smoother.codes import SETTINGS, smooth_codes
-from fgloc.smoother.codes_build import START_READS, build
+from fgloc.smoother.codes import smooth_codes
+from fgloc.smoother.codes_build import START_READS
 from fgloc.smoother.codes_sightings import BIASES
 from fgloc.smoother.ranges_start import optimize
-from fgloc.verdicts import SourceVerdicts, Verdict
+from fgloc.verdicts import Verdict
+
+from .code_drives import assert_gradients_are_differences, error_m, model_of
+from .code_drives import drive as plain_drive
 
 CASES = (("left", 30.0), ("right", 0.0), ("near", 0.0))
 
 
 def drive(seed=0, path="middle", yaw_deg=30.0, corners=True, **options):
-    return make("marr2019/smart-code", seed, path=path, camera_yaw_deg=yaw_deg, corners=corners,
-                **options)  # fmt: skip
+    return plain_drive(seed, path, yaw_deg, corners=corners, **options)
 
 
 def with_corners(one, corners_px):
@@ -35,34 +36,12 @@ def half_without(one):
     return with_corners(one, corners)
 
 
-def model_of(one):
-    return build(one, SETTINGS, SourceVerdicts.of("smart_codes", one.tables["smart_codes"]))
-
-
-def error_m(one, trajectory) -> np.ndarray:
-    t_ns = trajectory.t_ns[trajectory.t_ns <= one.truth.t_ns[-1]]
-    true = one.truth.at_point(trajectory.p_veh_point_m).at(t_ns).p_world_m
-    return (trajectory.at(t_ns).p_world_m - true)[:, :2]
-
-
 def mean_error_m(one, lag_s) -> float:
     return np.linalg.norm(error_m(one, smooth_codes(one, lag_s).trajectory), axis=1).mean()
 
 
 def test_gradients_are_the_differences_of_the_cost():
-    model = model_of(half_without(drive()))
-    rng, n = np.random.default_rng(3), 5
-    states = np.array([-5.0, -20.0]) + np.outer(np.arange(n), [0, 0.9]) + rng.normal(0, 0.2, (n, 2))
-    globals_ = model.prior[0] + 0.01
-    blocks = model.linearize(states, globals_, 20)
-
-    def cost_at(change):
-        moved = states + change[: states.size].reshape(states.shape)
-        return model.linearize(moved, globals_ + change[states.size :], 20).cost
-
-    told = np.r_[blocks.gradient.ravel(), blocks.gradient_globals]
-    found = np.array([(cost_at(s) - cost_at(-s)) / 2e-6 for s in np.eye(len(told)) * 1e-6])
-    np.testing.assert_allclose(told, found, rtol=1e-4, atol=1e-5 * np.abs(told).max())
+    assert_gradients_are_differences(model_of(half_without(drive())))
 
 
 def test_without_noise_the_camera_is_found():
