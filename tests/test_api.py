@@ -217,7 +217,7 @@ def test_compare_refuses_what_it_cannot_run(drive):
         fgloc.compare(drive, ["graph-bach"])
     with pytest.raises(InputError, match="no methods to compare"):
         fgloc.compare(drive, [])
-    with pytest.raises(InputError, match="seeds go with scenarios"):
+    with pytest.raises(InputError, match="seeds and options go with scenarios"):
         fgloc.compare(drive, ["raw:gnss"], seeds=[1])
     with pytest.raises(InputError, match="'raw:gnss' is there twice"):
         fgloc.compare(drive, ["raw:gnss", "raw:gnss"])
