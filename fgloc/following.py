@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.chi_square import chi2_quantile
+from fgloc.factors import noise
 from fgloc.measurements import Array
 
 Rows = NDArray[np.int64]
@@ -51,8 +52,7 @@ class Strays:
     @cached_property
     def nis(self) -> Array:
         """(n,) of each as the car."""
-        S = self.P_m2 + self.R_m2
-        return np.asarray(np.einsum("ni,nij,nj->n", self.error_m, np.linalg.inv(S), self.error_m))
+        return noise.nis(self.error_m, self.P_m2 + self.R_m2)
 
     def gains(self, fits: Rows) -> Array:
         """What each of the candidates (m,) that fit gains: once in `tau_s` how far it is below the
@@ -71,7 +71,7 @@ class Strays:
         drift = -np.expm1((self.t_s[a] - self.t_s[b]) / self.tau_s)[..., None, None]
         S = self.R_m2[a] + self.R_m2[b] + drift * (self.P_m2[a] + self.P_m2[b])
         gap = self.error_m[b] - self.error_m[a]
-        nis = np.einsum("...i,...ij,...j->...", gap, np.linalg.inv(S + STEP_M**2 * np.eye(2)), gap)
+        nis = noise.nis(gap, S + STEP_M**2 * np.eye(2))
         left = (self.number[a] >= 0) & (self.number[a] != self.number[b])
         return np.asarray((nis > LEAP_NIS) | (left & self._has(self.frame[b], self.number[a])))
 

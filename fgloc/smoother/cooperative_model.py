@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 from fgloc.correspondence.epochs import Epoch
 from fgloc.correspondence.rigid import rotation
 from fgloc.drive import GnssBias
+from fgloc.factors.gnss import bias_transition
 from fgloc.infrastructure import Node
 from fgloc.measurements import Array
 from fgloc.smoother.cooperative_odometry import OwnMotion
@@ -147,8 +148,8 @@ def motion(dt_s: float) -> tuple[Array, Array]:
 
 def forgetting(bias: GnssBias, dt_s: float) -> tuple[float, float]:
     """What is kept of a slow error over a step, and the variance in m^2 of what is new."""
-    kept = math.exp(-dt_s / bias.tau_s)
-    return kept, bias.sigma_m**2 * (1 - kept**2)
+    kept, sigma_m = bias_transition(dt_s, bias.sigma_m, bias.tau_s)
+    return float(kept), float(sigma_m) ** 2
 
 
 def off_survey(z_m: Array, p_world_m: Array) -> Array:

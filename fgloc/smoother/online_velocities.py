@@ -17,6 +17,7 @@ from fgloc.smoother.tree import Stamps, WholeTree
 from fgloc.verdicts import Verdict
 
 ERRORS_S = 1.0
+"""Lasting errors are read so often: it takes long, and they change slowly."""
 
 
 class OnlineVelocities:
@@ -41,14 +42,15 @@ class OnlineVelocities:
             if self._enters(key, j, v_world_mps, cov, tree, aligned=aligned):
                 self._held.add(key)
                 self._accepted_s = float(self.model.t_s[key])
-                about = v_world_mps if key == j else None
-                about = tree.vector(V(key)) if about is None else about
-                self.model.car.insert_velocity(values, key, about)
+                if self.told.err:
+                    about = v_world_mps if key == j else None
+                    about = tree.vector(V(key)) if about is None else about
+                    self.model.car.insert_velocity(values, key, about)
                 factors += self.model.car.velocity_factors(key)
         return factors
 
     def read(self, j: int, tree: WholeTree) -> None:
-        """Take the lasting errors out of the tree, once in `ERRORS_S`: they change slowly."""
+        """Take the lasting errors out of the tree, once in `ERRORS_S`."""
         if self.told.err and self.model.t_s[j] - self._found_s >= ERRORS_S:
             self._found_s = float(self.model.t_s[j])
             self.told.found, self.told.found_cov = tree.vector(M(0)), tree.covariance([M(0)])

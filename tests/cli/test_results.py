@@ -8,6 +8,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from evaluation.curves import CONTRACT
 
 from fgloc import api
 from fgloc.config import load_config
@@ -16,14 +17,6 @@ from fgloc.datasets.drive_folder import read_drive
 from fgloc.datasets.trajectory_files import read_trajectory, write_trajectory_csv
 from fgloc.outputs import FILES, NODES, OBJECTS, POSTS, VERDICT_COLUMNS, format_verdicts
 from fgloc.verdicts import SourceVerdicts, Verdict
-
-METRICS = {
-    "horizontal_rmse_m", "horizontal_mean_m", "horizontal_std_m", "horizontal_p95_m",
-    "horizontal_max_m", "lateral_rmse_m", "longitudinal_rmse_m", "lateral_mean_abs_m",
-    "lateral_std_abs_m", "longitudinal_mean_abs_m", "longitudinal_std_abs_m", "yaw_rmse_rad",
-    "anees", "coverage95",
-}  # fmt: skip
-
 
 PLAIN_FILES = {"trajectory.tum", "trajectory.csv", "trajectory.geojson", "verdicts.csv",
                "summary.json", "config.toml"}  # fmt: skip
@@ -65,7 +58,7 @@ def test_summary_holds_what_the_contract_names(mems):
         assert key in summary
     assert (summary["drive"], summary["method"]) == ("mems-rtk", "graph-batch")
     assert set(summary["origin"]) == {"lat_deg", "lon_deg", "height_m", "datum"}
-    assert set(summary["metrics"]) >= METRICS
+    assert set(summary["metrics"]) >= CONTRACT
     for metric in summary["metrics"].values():
         assert {"value", "unit", "better", "n"} <= set(metric)
         assert metric["value"] is not None or metric["why"]

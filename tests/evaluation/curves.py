@@ -9,6 +9,13 @@ S = 1_000_000_000
 
 
 START = 1_750_000_000 * S
+CONTRACT = {
+    "horizontal_rmse_m", "horizontal_mean_m", "horizontal_std_m", "horizontal_p95_m",
+    "horizontal_max_m", "lateral_rmse_m", "longitudinal_rmse_m", "lateral_mean_abs_m",
+    "lateral_std_abs_m", "longitudinal_mean_abs_m", "longitudinal_std_abs_m", "yaw_rmse_rad",
+    "anees", "coverage95",
+}  # fmt: skip
+"""Metrics that every score names."""
 
 
 def curve(n=200, rate_hz=10.0, cov=None, *, attitude=True, velocity=True, point=(0.0, 0, 0)):

@@ -12,14 +12,7 @@ from fgloc.evaluation import (
 )
 from fgloc.trajectory import Trajectory
 
-from .curves import S, curve, straight
-
-CONTRACT = {
-    "horizontal_rmse_m", "horizontal_mean_m", "horizontal_std_m", "horizontal_p95_m",
-    "horizontal_max_m", "lateral_rmse_m", "longitudinal_rmse_m", "lateral_mean_abs_m",
-    "lateral_std_abs_m", "longitudinal_mean_abs_m", "longitudinal_std_abs_m", "yaw_rmse_rad",
-    "anees", "coverage95",
-}  # fmt: skip
+from .curves import CONTRACT, S, curve, straight
 
 
 def test_metrics_of_five_errors_by_hand():

@@ -3,7 +3,8 @@
 import numpy as np
 
 from fgloc.datasets.registry import make
-from fgloc.smoother.codes import SETTINGS
+from fgloc.evaluation.consistency import nees
+from fgloc.smoother.codes import SETTINGS, smooth_codes
 from fgloc.smoother.codes_build import build
 from fgloc.smoother.codes_model import CodeModel
 from fgloc.verdicts import SourceVerdicts
@@ -19,6 +20,13 @@ def error_m(one, trajectory, t_ns=None) -> np.ndarray:
     t_ns = trajectory.t_ns[trajectory.t_ns <= last] if t_ns is None else t_ns
     true = one.truth.at_point(trajectory.p_veh_point_m).at(t_ns).p_world_m
     return (trajectory.at(t_ns).p_world_m - true)[:, :2]
+
+
+def mean_nees(one) -> float:
+    """Of the whole drive in the plane, by its dimension."""
+    trajectory = smooth_codes(one).trajectory
+    error = error_m(one, trajectory)
+    return float(nees(error, trajectory.cov[: len(error), :2, :2]).mean() / 2)
 
 
 def model_of(one) -> CodeModel:

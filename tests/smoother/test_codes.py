@@ -16,7 +16,7 @@ from fgloc.smoother.codes_build import build
 from fgloc.smoother.codes_sightings import BIASES
 from fgloc.verdicts import SourceVerdicts
 
-from .code_drives import assert_gradients_are_differences, drive, error_m, model_of
+from .code_drives import assert_gradients_are_differences, drive, error_m, mean_nees, model_of
 
 
 def test_gradients_are_the_differences_of_the_cost():
@@ -89,14 +89,7 @@ def test_it_errs_less_than_half_as_much_as_the_filter():
 
 
 def test_the_covariance_does_not_claim_too_much():
-    nees = []
-    for seed in range(4):
-        one = drive(seed)
-        trajectory = smooth_codes(one).trajectory
-        error = error_m(one, trajectory)
-        cov = trajectory.cov[: len(error), :2, :2]
-        nees.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov), error).mean() / 2)
-    assert 0.1 < np.mean(nees) < 1.5
+    assert 0.1 < np.mean([mean_nees(drive(seed)) for seed in range(4)]) < 1.5
 
 
 def test_each_size_of_sign_has_its_bias_and_every_row_a_verdict():

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fgloc.evaluation.consistency import nees
 from fgloc.infrastructure import Infrastructure
 from fgloc.perception.square_pose import square_poses
 from fgloc.smoother.codes import smooth_codes
@@ -14,7 +13,7 @@ from fgloc.smoother.codes_sightings import BIASES
 from fgloc.smoother.ranges_start import optimize
 from fgloc.verdicts import Verdict
 
-from .code_drives import assert_gradients_are_differences, error_m, model_of
+from .code_drives import assert_gradients_are_differences, error_m, mean_nees, model_of
 from .code_drives import drive as plain_drive
 
 CASES = (("left", 30.0), ("right", 0.0), ("near", 0.0))
@@ -87,13 +86,7 @@ def test_corners_bring_both_graphs_nearer_to_the_truth():
 
 
 def test_the_covariance_is_about_that_of_the_errors():
-    told = []
-    for seed in range(4):
-        one = drive(seed)
-        trajectory = smooth_codes(one).trajectory
-        error = error_m(one, trajectory)
-        told.append(nees(error, trajectory.cov[: len(error), :2, :2]).mean() / 2)
-    assert 0.3 < np.mean(told) < 1.7
+    assert 0.3 < np.mean([mean_nees(drive(seed)) for seed in range(4)]) < 1.7
 
 
 def test_a_side_that_is_longer_than_its_record_is_found():
