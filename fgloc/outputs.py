@@ -5,12 +5,11 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic_core import to_json
 
 from fgloc.drive import Drive
@@ -26,7 +25,7 @@ from fgloc.posts import PostStates
 from fgloc.result import Event, Result
 from fgloc.timing import NS_PER_S
 from fgloc.trajectory import Trajectory
-from fgloc.verdicts import SourceVerdicts, Verdicts
+from fgloc.verdicts import FATES, SourceVerdicts, Verdicts
 
 TRAJECTORY, SMOOTHED = "trajectory", "trajectory_smoothed"
 SUMMARY, VERDICTS, CONFIG, REPORT = "summary.json", "verdicts.csv", "config.toml", "report.html"
@@ -109,7 +108,7 @@ def write_result(
             _write_text(folder / NODES, format_nodes(node_rows(drive, result.summary)))
         if result.smoothed is not None:
             _write_trajectory(folder, SMOOTHED, result.smoothed, drive, also)
-        with (folder / VERDICTS).open("w", encoding="utf-8", newline="\n") as file:
+        with (folder / VERDICTS).open("wb") as file:
             file.writelines(_verdict_lines(result.verdicts))
         if result.objects is not None:
             from fgloc.datasets.object_tracks import write_tracks
@@ -211,7 +210,7 @@ def summarize(
 
 def format_verdicts(verdicts: Verdicts) -> str:
     """The text of `verdicts.csv`: one row per measurement, source by source; NaN is left empty."""
-    return "".join(_verdict_lines(verdicts))
+    return b"".join(_verdict_lines(verdicts)).decode()
 
 
 def format_posts(posts: PostStates, drive: Drive) -> str:
@@ -313,39 +312,34 @@ def _plain(metrics: Mapping[str, Metric]) -> dict[str, Any]:
     return {name: metric.to_dict() for name, metric in metrics.items()}
 
 
-def _verdict_lines(verdicts: Verdicts) -> Iterator[str]:
+def _verdict_lines(verdicts: Verdicts) -> Iterator[bytes]:
     """The lines of `verdicts.csv`, many at a time."""
-    yield ",".join(VERDICT_COLUMNS) + "\n"
+    yield (",".join(VERDICT_COLUMNS) + "\n").encode()
     for table in verdicts.values():
         for first in range(0, len(table), _ROWS_AT_ONCE):
-            yield "".join(_verdict_rows(table, slice(first, first + _ROWS_AT_ONCE)))
+            yield from _verdict_rows(table, slice(first, first + _ROWS_AT_ONCE))
 
 
-def _verdict_rows(table: SourceVerdicts, part: slice) -> Iterator[str]:
-    """Lines of some rows of a source, whose ends are made once for each run of rows with one
-    verdict and reason."""
-    source, t, received = _cell(table.source), _texts(table.t_ns[part]), table.received_ns[part]
-    times = [t, t if np.array_equal(received, table.t_ns[part]) else _texts(received)]
+def _verdict_rows(table: SourceVerdicts, part: slice) -> Iterator[bytes]:
+    """Lines of some rows of a source, for each run of rows with one verdict and reason.
+
+    Their numbers by pydantic's JSON: the shortest exact texts, in which the ends of rows are put
+    where its brackets stand, and the verdict for a cell that is `true`."""
+    times = [table.t_ns[part].tolist(), table.received_ns[part].tolist()]
     found = [column[part] for column in (table.nis, table.dof, table.threshold)]
     judged = found[1].any() or not (np.isnan(found[0]) & np.isnan(found[2])).all()
-    columns = [*times, *map(_texts, found)] if judged else times
-    fates, reasons = table.verdict[part], table.reason[part]
-    changes = (fates[1:] != fates[:-1]) | (reasons[1:] != reasons[:-1])
-    for first, stop in pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(fates)]):
-        fate, reason = _cell(fates[first]), _cell(reasons[first])
-        rows = zip(*(column[first:stop] for column in columns), strict=True)
-        if judged:
-            yield "".join([f"{source},{a},{b},{fate},{nis},{dof},{threshold},{reason}\n"
-                           for a, b, nis, dof, threshold in rows])  # fmt: skip
-        else:
-            end = f",{fate},,0,,{reason}\n"
-            yield "".join([f"{source},{a},{b}{end}" for a, b in rows])
-
-
-def _texts(values: NDArray[Any]) -> list[str]:
-    """The shortest exact text of each number, by pydantic's JSON; empty for NaN."""
-    text = to_json(values.tolist())[1:-1].decode()
-    return text.replace("NaN", "").replace("Infinity", "inf").split(",")
+    numbers = [column.tolist() for column in found] if judged else []
+    fates, whys = table.fate[part], table.why[part]
+    changes = np.flatnonzero((fates[1:] != fates[:-1]) | (whys[1:] != whys[:-1])) + 1
+    for first, stop in pairwise([0, *changes.tolist(), len(fates)]):
+        run = slice(first, stop)
+        rows = zip(*(column[run] for column in times), repeat(True, stop - first),
+                   *(column[run] for column in numbers), strict=True)  # fmt: skip
+        text = to_json(list(rows))[2:-2].replace(b"NaN", b"").replace(b"Infinity", b"inf")
+        nothing = "" if judged else ",,0,"
+        end = f"{nothing},{_cell(table.reasons[whys[first]])}\n".encode()
+        begin, fate = f"{_cell(table.source)},".encode(), FATES[fates[first]].encode()
+        yield begin + text.replace(b"true", fate).replace(b"],[", end + begin) + end
 
 
 def _number(value: float) -> str:

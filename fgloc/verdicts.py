@@ -1,8 +1,7 @@
 """What became of every measurement: one row each, so that the totals equal what was read."""
 
-from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -29,10 +28,15 @@ class Verdict(StrEnum):
     __hash__ = str.__hash__  # as quick as text: there is one for every measurement
 
 
+FATES = tuple(Verdict)
+
+
 @dataclass(eq=False)
 class SourceVerdicts:
     """The verdicts on one source's table, row by row; estimators fill it in place.
 
+    fate       (N,) number of each row's verdict in `FATES`
+    why        (N,) number of its reason in `reasons`, which has each text once
     nis        (N,) normalised innovation squared: of the measurement against what was known
                without it (causal runs: before it; batch: all others). NaN where not computed
     dof        (N,) its degrees of freedom, 0 where not computed
@@ -42,11 +46,13 @@ class SourceVerdicts:
     source: str
     t_ns: Instants
     received_ns: Instants
-    verdict: NDArray[Any]
+    fate: NDArray[np.uint8]
+    why: NDArray[np.int32]
     nis: Array
     dof: NDArray[np.int64]
     threshold: Array
-    reason: NDArray[Any]
+    reasons: list[str] = field(default_factory=list)
+    _numbers: dict[str, int] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -61,19 +67,32 @@ class SourceVerdicts:
     ) -> "SourceVerdicts":
         """One verdict for all instants of a source, to be refined."""
         n = len(t_ns)
-        nan = np.full(n, np.nan)
-        return cls(
-            source, t_ns, received_ns, np.full(n, verdict, object), nan.copy(),
-            np.zeros(n, np.int64), nan.copy(), np.full(n, reason, object),
+        result = cls(
+            source, t_ns, received_ns, np.zeros(n, np.uint8), np.zeros(n, np.int32),
+            np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan),
         )  # fmt: skip
+        result.set(slice(None), verdict, reason)
+        return result
 
     def __len__(self) -> int:
         return len(self.t_ns)
 
     def set(self, rows: Any, verdict: Verdict, reason: str = "") -> None:
         """Give the rows (index, mask or array) a verdict and the reason for it."""
-        self.verdict[rows] = verdict
-        self.reason[rows] = reason
+        number = self._numbers.setdefault(reason, len(self.reasons))
+        if number == len(self.reasons):
+            self.reasons.append(reason)
+        self.fate[rows], self.why[rows] = FATES.index(verdict), number
+
+    @property
+    def verdict(self) -> NDArray[Any]:
+        """(N,) the `Verdict` of each row."""
+        return np.array(FATES, object)[self.fate]
+
+    @property
+    def reason(self) -> NDArray[Any]:
+        """(N,) why, as text; empty where there is nothing to say."""
+        return np.array(self.reasons, object)[self.why]
 
     def gate(self, row: int, nis: float, dof: int, limit: float) -> bool:
         """Whether one row's NIS against a prediction is within the gate `limit`; noted with it."""
@@ -83,14 +102,14 @@ class SourceVerdicts:
         self.set(row, Verdict.USED if fits else Verdict.GATED, reason)
         return fits
 
-    def is_(self, verdict: Verdict) -> NDArray[np.bool_]:
-        """(N,) bool: which rows have this verdict."""
-        return np.asarray(self.verdict == verdict, bool)
+    def is_(self, *verdicts: Verdict) -> NDArray[np.bool_]:
+        """(N,) bool: which rows have one of these verdicts."""
+        return np.isin(self.fate, [FATES.index(verdict) for verdict in verdicts])
 
     def counts(self) -> dict[str, int]:
         """How many rows have each verdict that occurs."""
-        numbers = Counter(self.verdict.tolist())
-        return {str(name): numbers[name] for name in sorted(numbers)}
+        numbers = np.bincount(self.fate, minlength=len(FATES)).tolist()
+        return {str(fate): n for fate, n in sorted(zip(FATES, numbers, strict=True)) if n}
 
 
 Verdicts = Mapping[str, SourceVerdicts]

@@ -114,11 +114,11 @@ def nis_figure(scene: Scene) -> Spec | None:
 def _nis_panel(scene: Scene, v: SourceVerdicts, k: int, seen: set[str]) -> list[Spec]:
     """Markers by verdict and two lines; `seen` holds the names that the legend has already."""
     t_s, names, known = scene.seconds(v.t_ns), v.verdict.astype(str), np.isfinite(v.nis)
-    traces = []
+    reason, traces = v.reason, []
     for name in np.unique(names[known]):
         rows = np.flatnonzero(known & (names == name))
         rows = rows[peaks(v.nis[rows], MAX_POINTS // 2)]
-        text = [f"{name}<br>{hover_text(v.reason[r])}" if v.reason[r] else name for r in rows]
+        text = [f"{name}<br>{hover_text(reason[r])}" if reason[r] else name for r in rows]
         trace = _verdict_markers(t_s[rows], np.maximum(v.nis[rows], _MIN_NIS), str(name), text)
         traces.append(
             trace | {"hovertemplate": "t = %{x:.2f} s, NIS %{y:.3g}<br>%{text}<extra></extra>"}

@@ -45,7 +45,7 @@ def _node(model: Model, s: int, states: States, sigmas: SharedSigmas) -> dict[st
     p, verdicts = model.positions, model.plan.verdicts[DETECTIONS]
     own = p.source == s
     rows = p.row[own]
-    used = np.isin(verdicts.verdict[rows], (Verdict.USED, Verdict.DOWN_WEIGHTED))
+    used = verdicts.is_(Verdict.USED, Verdict.DOWN_WEIGHTED)[rows]
     delay_s = (p.received_ns[own] - p.t_ns[own]) / 1e9
     told: dict[str, Any] = {
         "frames": len(np.unique(p.frame[own])), "car_seen": int(used.sum()),

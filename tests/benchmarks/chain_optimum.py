@@ -57,7 +57,7 @@ def left_out(drive: fgloc.Drive) -> np.ndarray:
     verdicts = fgloc.smooth(drive).verdicts
     positions = plan(drive, SmoothConfig()).positions
     kept = {
-        table: np.isin(verdicts[table].verdict, (Verdict.USED, Verdict.DOWN_WEIGHTED))
+        table: verdicts[table].is_(Verdict.USED, Verdict.DOWN_WEIGHTED)
         for table in (GNSS, DETECTIONS)
         if table in verdicts
     }

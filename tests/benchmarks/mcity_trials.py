@@ -93,7 +93,7 @@ def score(result: Result, drive: Drive, seen_ns: np.ndarray) -> tuple[float, flo
     verdicts = result.verdicts.get("detections")
     if verdicts is None or result.method.startswith("raw:gnss"):
         return whole, inside, 0, 0
-    taken = np.isin(verdicts.verdict, (Verdict.USED, Verdict.DOWN_WEIGHTED))
+    taken = verdicts.is_(Verdict.USED, Verdict.DOWN_WEIGHTED)
     seen = drive.tables["detections"]
     at = [np.interp(seen.t_ns[taken], drive.truth.t_ns, x) for x in drive.truth.p_world_m[:, :2].T]
     apart = np.linalg.norm(world_positions(drive, seen)[taken] - np.stack(at, -1), axis=1)
