@@ -46,6 +46,7 @@ from fgloc.errors import DriveError, InputError, nearest
 from fgloc.frames import Origin
 from fgloc.infrastructure import Infrastructure
 from fgloc.measurements import ObjectTruth, Table
+from fgloc.parallel import each
 from fgloc.posts import PostStates
 from fgloc.trajectory import Trajectory
 
@@ -69,7 +70,8 @@ def read_drive(folder: str | Path) -> Drive:
     _check_folder(folder)
     about = read_toml(folder / FILE_NAME)
     files = _table_files(folder)
-    columns = {stem: read_table(path, _layout(stem)) for stem, path in files.items()}
+    read = each(lambda stem: read_table(files[stem], _layout(stem)), files)
+    columns = dict(zip(files, read, strict=True))
     origin = _origin(folder, about, files, columns)
     infrastructure = to_infrastructure(folder / FILE_NAME, about)
     tables = {

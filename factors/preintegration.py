@@ -26,8 +26,9 @@ from fgloc.frames import (
     skew,
 )
 from fgloc.measurements import Array
+from fgloc.parallel import each
 
-SAMPLES_AT_ONCE = 6_000
+SAMPLES_AT_ONCE = 12_000
 """Intervals are taken in portions of about so many samples, which fit the processor's cache."""
 
 
@@ -46,7 +47,8 @@ def preintegrate(
                     np.zeros(shape), np.zeros((*shape, 6)))  # fmt: skip
     variances = [_variances(noise, shape[1]) for noise in (accel_noise, gyro_noise)]
     count = stops - first
-    for rows in _portions(count[-1]):
+
+    def fill(rows: slice) -> None:
         sample = first[rows] + np.arange(count[-1, rows].max(initial=0))[:, None]
         sample = np.minimum(sample, max(len(dt_s) - 1, 0))
         path = _Path(
@@ -57,6 +59,8 @@ def preintegrate(
             delta, by_bias, cov = path.sums(upto, *(v[:, rows] for v in variances))
             out.delta[s, rows], out.by_bias[s, rows], out.cov[s, rows] = delta, by_bias, cov
             out.dt_s[s, rows] = path.dt_until(upto).sum(0)
+
+    each(fill, _portions(count[-1]))
     return out
 
 

@@ -192,7 +192,8 @@ def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> Imu
     verdicts.set(~finite, Verdict.INVALID, "specific force or angular rate is not finite")
     if not finite.any():
         raise DriveError(f"drive {name!r}: none of its {len(imu)} IMU samples is finite")
-    return imu.take(finite & ~duplicate)
+    kept = finite & ~duplicate
+    return imu if kept.all() else imu.take(kept)
 
 
 def _judge_early(

@@ -2,13 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from fgloc import frames
 from fgloc.errors import InputError
-from fgloc.evaluation.consistency import nees
+from fgloc.evaluation.consistency import leading_nees
 from fgloc.measurements import Array, freeze
+from fgloc.parallel import each
 from fgloc.timing import Instants, elapsed_s
 from fgloc.trajectory import Trajectory
 
@@ -19,6 +21,8 @@ MIN_SPEED_MPS = 1.0
 """Slower than this a truth without attitude has no direction."""
 MIN_YAW_SPEED_MPS = 4.0
 """Slower than this the course of a truth without attitude is too rough to judge a heading by."""
+AT_ONCE = 8192
+"""So many rows of the truth are gone through at a time."""
 _COURSE_SPAN_S = 0.5
 """Truth without velocity is differenced over this time, or noise of close rows would turn it."""
 
@@ -104,29 +108,43 @@ def errors(
     if estimate.R_world_veh is None and truth.R_world_veh is not None:
         truth = truth.at_point(estimate.p_veh_point_m)
     keep, left_out = _covered(estimate, truth, score_from_ns, max_gap_s)
-    heading, yaw_truth = (a[keep] for a in _headings(truth, min_speed_mps))
-    truth_kept = truth.take(keep)
-    estimate_kept = _at(estimate, truth_kept)
-    p_error = estimate_kept.p_world_m - truth_kept.p_world_m
-    rotvec = _rotation_errors(estimate_kept, truth_kept)
-    yaw = np.full(len(p_error), np.nan)
-    if estimate_kept.R_world_veh is not None:
-        yaw = frames.wrap_pi(estimate_kept.yaw_rad - yaw_truth)
-    along = np.stack([np.cos(heading), np.sin(heading)], -1)
-    across = np.stack([-np.sin(heading), np.cos(heading)], -1)
+    headings, kept = [a[keep] for a in _headings(truth, min_speed_mps)], truth.take(keep)
+    portions = [slice(i, i + AT_ONCE) for i in range(0, max(len(kept), 1), AT_ONCE)]
+    parts = each(lambda rows: _rows(estimate, kept.take(rows), *(a[rows] for a in headings)),
+                 portions)  # fmt: skip
+    columns: dict[str, Any] = {
+        name: np.concatenate([part[name] for part in parts]) for name in parts[0]
+    }
     return Errors(
-        t_ns=truth_kept.t_ns,
-        p_world_m=p_error,
-        longitudinal_m=(along * p_error[:, :2]).sum(-1),
-        lateral_m=(across * p_error[:, :2]).sum(-1),
-        yaw_rad=yaw,
-        rotvec_rad=rotvec,
-        **_claims(estimate_kept, truth_kept, along, across, np.hstack([p_error, rotvec])),
+        t_ns=kept.t_ns,
+        **columns,
         course_based=truth.R_world_veh is None,
         n_truth=len(truth),
         left_out=left_out,
         why=_reasons(estimate, truth),
     )
+
+
+def _rows(
+    estimate: Trajectory, truth: Trajectory, heading: Array, yaw_truth: Array
+) -> dict[str, Array]:
+    """The columns of errors at some rows of the truth, all of which the estimate covers."""
+    estimate = _at(estimate, truth)
+    p_error = estimate.p_world_m - truth.p_world_m
+    rotvec = _rotation_errors(estimate, truth)
+    yaw = np.full(len(p_error), np.nan)
+    if estimate.R_world_veh is not None:
+        yaw = frames.wrap_pi(estimate.yaw_rad - yaw_truth)
+    along = np.stack([np.cos(heading), np.sin(heading)], -1)
+    across = np.stack([-np.sin(heading), np.cos(heading)], -1)
+    return {
+        "p_world_m": p_error,
+        "longitudinal_m": (along * p_error[:, :2]).sum(-1),
+        "lateral_m": (across * p_error[:, :2]).sum(-1),
+        "yaw_rad": yaw,
+        "rotvec_rad": rotvec,
+        **_claims(estimate, truth, along, across, np.hstack([p_error, rotvec])),
+    }
 
 
 def _covered(
@@ -207,7 +225,7 @@ def _claims(
     columns = (
         _sigma(flat, along), _sigma(flat, across), np.sqrt(cov[:, 2, 2]),
         _sigma(cov[:, 3:, 3:], _yaw_gradient(estimate)),
-        nees(error[:, :2], flat), nees(error[:, :3], cov[:, :3, :3]), nees(error, cov),
+        *leading_nees(error, cov, [2, 3, 6]),
     )  # fmt: skip
     return dict(zip(names, columns, strict=True))
 

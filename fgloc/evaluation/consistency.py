@@ -5,6 +5,8 @@ section 5.4: the normalised estimation error squared e^T P^-1 e of a consistent 
 chi-square with as many degrees of freedom as e has components.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -27,19 +29,30 @@ def nees(error: Array, cov: Array) -> Array:
     NaN where an error is NaN or a covariance is not positive definite; the units of the
     components do not matter.
     """
-    result = np.full(len(error), np.nan)
+    return leading_nees(error, cov, [error.shape[1]])[0]
+
+
+def leading_nees(error: Array, cov: Array, sizes: Sequence[int]) -> list[Array]:
+    """`nees` of the first so many components alone, for each of some sizes: one factorisation of
+    the whole tells of all."""
+    result = [np.full(len(error), np.nan) for _ in sizes]
     sigma = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
-    rows = np.flatnonzero((sigma > 0).all(-1) & np.isfinite(error).all(-1))
-    scaled = error[rows] / sigma[rows]
+    sound = np.asarray((sigma > 0).all(-1) & np.isfinite(error).all(-1))
+    rows = np.flatnonzero(sound)
     correlation = cov[rows] / (sigma[rows, :, None] * sigma[rows, None, :])
     try:  # one factorisation decides the usual case, where all are definite
-        L, z = np.linalg.cholesky(correlation), scaled
+        L = np.linalg.cholesky(correlation)
     except np.linalg.LinAlgError:
         definite = np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR
-        L, z, rows = np.linalg.cholesky(correlation[definite]), scaled[definite], rows[definite]
+        sound[rows[~definite]] = False
+        L, rows = np.linalg.cholesky(correlation[definite]), rows[definite]
+    z = error[rows] / sigma[rows]
     for i in range(z.shape[1]):  # forward substitution: what is left of z is L^-1 z
         z[:, i] = (z[:, i] - (L[:, i, :i] * z[:, :i]).sum(-1)) / L[:, i, i]
-    result[rows] = (z * z).sum(-1)
+    for told, size in zip(result, sizes, strict=True):
+        told[rows] = (z[:, :size] ** 2).sum(-1)
+        if size < error.shape[1] and not sound.all():  # what the others spoil
+            told[~sound] = nees(error[~sound, :size], cov[~sound, :size, :size])
     return result
 
 

@@ -7,6 +7,7 @@ all blocks share stand in a border, [[H, B], [B', C]], and are solved for by its
 """
 
 from collections.abc import Callable
+from copy import copy
 from functools import cache
 from importlib.machinery import PathFinder
 from importlib.util import module_from_spec
@@ -19,9 +20,11 @@ from numpy.typing import NDArray
 
 from fgloc.factors import fields
 from fgloc.measurements import Array
+from fgloc.parallel import each
 
-BLOCKS_AT_ONCE = 512
-"""The inverse is taken in portions of so many blocks, which fit the processor's cache."""
+BLOCKS_AT_ONCE, PORTIONS_AT_ONCE, RUN = 2048, 4, 24
+"""The inverse is taken in portions of so many blocks, which fit the processor's cache, and of these
+so many side by side."""
 Index = NDArray[np.int64] | slice
 
 
@@ -112,6 +115,20 @@ class Band:
         before, self._lowest = self._lowest, min(self._lowest, int(blocks[0]))
         return isinstance(_span(blocks), slice) and int(blocks[-1]) < before
 
+    def section(self) -> "Band":
+        """The same memory for somebody who adds to blocks that nobody else adds to meanwhile: from
+        the last of them back; `join` ends it."""
+        part = copy(self)
+        part.corner = np.zeros_like(self.corner)
+        part.gradient = Vector(self.gradient.blocks, np.zeros_like(self.gradient.border))
+        return part
+
+    def join(self, part: "Band") -> None:
+        """Take over what a section has of the border."""
+        self.corner += part.corner
+        self.gradient.border[:] += part.gradient.border
+        self._lowest = min(self._lowest, part._lowest)
+
     def factor(self, damping: Vector | None = None) -> "BorderedFactor":
         """The Cholesky factor, with a damping (d,) and (k,) on the diagonal, in the place of H.
 
@@ -196,14 +213,26 @@ class Factor:
         n, d, _ = self._panels.shape
         out = np.empty((n, len(keep), len(keep)))
         after = np.zeros((d, d))
-        for stop in range(n, 0, -BLOCKS_AT_ONCE):
-            rows = slice(max(stop - BLOCKS_AT_ONCE, 0), stop)
-            S, C = self._steps(rows)
-            for run in reversed(range(len(S))):
-                S[run] += C[run].swapaxes(-1, -2) @ after @ C[run]
-                after = S[run, 0]
-            blocks = S.reshape(-1, d, d)[rows.start - rows.stop :]
-            out[rows] = square(blocks, keep)
+        portions = [slice(max(stop - BLOCKS_AT_ONCE, 0), stop)
+                    for stop in range(n, 0, -BLOCKS_AT_ONCE)]  # fmt: skip
+        for k in range(0, len(portions), PORTIONS_AT_ONCE):
+            some = portions[k : k + PORTIONS_AT_ONCE]
+            parts = []
+            for rows, (S, C) in zip(some, each(self._steps, some), strict=True):
+                follows = np.empty((len(S), d, d))
+                for run in reversed(range(len(S))):
+                    follows[run] = after
+                    after = S[run, 0] + C[run, 0].T @ after @ C[run, 0]
+                parts.append((rows, S, C, follows))
+
+            def finish(part: tuple[slice, Array, Array, Array]) -> None:
+                rows, S, C, follows = part
+                C = np.ascontiguousarray(C[..., keep])
+                brought = (C.swapaxes(-1, -2) @ follows[:, None] @ C).reshape(-1, *out.shape[1:])
+                blocks = slice(rows.start - rows.stop, None)
+                out[rows] = square(S.reshape(-1, d, d)[blocks], keep) + brought[blocks]
+
+            each(finish, parts)
         return out
 
     def _steps(self, rows: slice) -> tuple[Array, Array]:
@@ -212,7 +241,7 @@ class Factor:
         not divide, blocks that change nothing stand before the first."""
         L = np.ascontiguousarray(self._panels[rows].swapaxes(-1, -2))
         m, d = len(L), L.shape[-1]
-        length = max(int(np.sqrt(m)), 1)
+        length = min(m, RUN)
         runs = -(-m // length)
         S, C = np.zeros((runs, length, d, d)), np.zeros((runs, length, d, d))
         C[:] = np.eye(d)

@@ -63,8 +63,8 @@ class Solver(Protocol):
     ) -> tuple[States, float, int]:
         """The states of least cost, that cost and the iterations; `rough` may stop when near."""
 
-    def rough_predictions(self, states: States) -> Array | None:
-        """Covariances (rows, 3, 3) in m^2 of what the positions measure as predicted at the states
+    def rough_predictions(self, states: States, rows: NDArray[np.int64]) -> Array | None:
+        """Covariances (m, 3, 3) in m^2 of what some positions measure as predicted at the states
         of a rough optimum; None where they take as long as the whole."""
 
     def covariances(self, states: States, robust: Robustness) -> Spread:
@@ -119,8 +119,8 @@ def run_batch(model: Model) -> BatchRun:
         limits = limits or _limits(model, told)
         gated = _gated(model, told[POSITIONS].nis, limits[POSITIONS])
         if near:
-            joined = _followed(model, states, spread.positions)
-            gated = np.where(model.positions.candidates, ~joined, gated)
+            among = np.flatnonzero(model.positions.candidates)
+            gated[among] = ~_followed(model, states, among, spread.positions[among])
         unheld = _unheld(told, limits)
         settled = np.array_equal(gated, robust.gated) and unheld == robust.unheld
         if rounds == MAX_ROUNDS or (settled and not near):
@@ -169,8 +169,10 @@ def _settle(
         norm = np.sqrt(noise.nis(error, model.cov_m2[:n][fixes]))
         width = model.config.gnss.loss_width
         width *= _widening(width, norm)
-    if join and left_out.any() and (P := solver.rough_predictions(states)) is not None:
-        left_out = left_out & ~_followed(model, states, P)
+    among = np.flatnonzero(left_out)
+    if join and len(among) and (P := solver.rough_predictions(states, among)) is not None:
+        left_out = left_out.copy()
+        left_out[among] = ~_followed(model, states, among, P)
         states, _, more = solver.optimum(
             states, Robustness(left_out, np.inf, plain=True), rough=True
         )
@@ -208,17 +210,19 @@ def _gated(model: Model, nis: Array, limits: Array) -> NDArray[np.bool_]:
     return gated
 
 
-def _followed(model: Model, states: States, P: Array) -> NDArray[np.bool_]:
-    """Which of the positions (rows,) are candidates that are the car, by all that is known without
-    them; P (rows, 3, 3) is the covariance of what they measure as predicted."""
-    p, chosen, plane = model.positions, np.zeros(len(P), bool), np.s_[:, :2, :2]
-    own = np.flatnonzero(p.candidates[: len(P)])
-    own = own[np.lexsort((p.frame[own], p.t_ns[own]))]
-    drift = model.sources[0].bias
-    chosen[own] = followed(Strays(
+def _followed(
+    model: Model, states: States, among: NDArray[np.int64], P: Array
+) -> NDArray[np.bool_]:
+    """Which of some candidates (m,) are the car, by all that is known without them; P (m, 3, 3) is
+    the covariance of what they measure as predicted."""
+    p, drift = model.positions, model.sources[0].bias
+    order = np.lexsort((p.frame[among], p.t_ns[among]))
+    own, plane = among[order], np.s_[:, :2, :2]
+    chosen = np.zeros(len(among), bool)
+    chosen[order] = followed(Strays(
         elapsed_s(p.t_ns[own], int(model.t_ns[0])), p.frame[own],
         np.where(p.object_id[own] < 0, -1, numbered(p.source[own], p.object_id[own])),
-        position_errors(model, states, own)[:, :2], P[own][plane], model.cov_m2[own][plane],
+        position_errors(model, states, own)[:, :2], P[order][plane], model.cov_m2[own][plane],
         drift.tau_s if drift else STEADY_S, model.gate_nis[own],
     ))  # fmt: skip
     return chosen

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ from fgloc.errors import SolverError
 from fgloc.factors import imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
+from fgloc.parallel import each
 from fgloc.smoother import clocks, sketch
 from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector, square
 from fgloc.smoother.guess import misfit
@@ -21,8 +23,10 @@ from fgloc.smoother.term import BIAS, POSE, VELOCITY, Step, Term
 from fgloc.smoother.terms import Terms, late_residual, position_residual
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 512
+BLOCKS_AT_ONCE = 1024
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
+SECTIONS, LONG = 4, 2048
+"""A chain from so many keyframes on is gone through in so many sections side by side."""
 
 
 class Chain(Terms):
@@ -30,7 +34,7 @@ class Chain(Terms):
 
     converged = True
     _last: tuple[States, Robustness, BorderedFactor] | None = None
-    _sketched: tuple["Chain", States] | None = None
+    _sketched: tuple["Chain", States, Robustness] | None = None
 
     @cached_property
     def damping(self) -> Vector:
@@ -96,7 +100,7 @@ class Chain(Terms):
             return None
         if not cost <= misfit(few.rows):
             return None
-        self._sketched = few, found
+        self._sketched = few, found, nothing
         g = self.model.gravity_mps2
         drawn = sketch.all_states(found, keys, self.deltas, self.bias_of, g)
         return replace(drawn, posts=states.posts), cost, iterations
@@ -107,20 +111,19 @@ class Chain(Terms):
         keys = sketch.few_keyframes(self.model, self.n)
         return None if keys is None else (keys, sketch.few_deltas(self.deltas, keys))
 
-    def rough_predictions(self, states: States) -> Array | None:
-        """Covariances (rows, 3, 3) in m^2 of what the positions measure as predicted, about: from
-        the last sketch. None where there is none, or where more than the pose has a part in it."""
+    def rough_predictions(self, states: States, rows: NDArray[np.int64]) -> Array | None:
+        """Covariances (m, 3, 3) in m^2 of what some positions measure as predicted, about: from the
+        last sketch. None where there is none, or where more than the pose has a part in it."""
         if self._few is None or self._sketched is None or self.border.size or self.width > 15:
             return None
-        (keys, _), (few, found) = self._few, self._sketched
-        nothing = Robustness(np.zeros(few.rows, bool), np.inf, plain=True)
-        cov = few.covariances(found, nothing).poses
-        at = np.searchsorted(keys, self.key_of, side="right") - 1
-        predicted = np.empty((self.rows, 3, 3))
-        for s in np.unique(self.source).tolist():
-            rows = np.flatnonzero(self.source == s)
-            J = position_residual(self.model, states, rows, s).by_pose
-            predicted[rows] = J @ cov[at[rows]] @ J.swapaxes(-1, -2)
+        (keys, _), (few, found, nothing) = self._few, self._sketched
+        cov = Known(few._factor(found, nothing), POSE).blocks
+        at = np.searchsorted(keys, self.key_of[rows], side="right") - 1
+        predicted = np.empty((len(rows), 3, 3))
+        for s in np.unique(self.source[rows]).tolist():
+            own = self.source[rows] == s
+            J = position_residual(self.model, states, rows[own], s).by_pose
+            predicted[own] = J @ cov[at[own]] @ J.swapaxes(-1, -2)
         return predicted
 
     def moved(self, states: States, back: Vector) -> States:
@@ -165,10 +168,24 @@ class Chain(Terms):
         near, or of reweighted least squares ("weights"), which never climbs far and is what
         covariances are taken from.
         """
-        band, cost = Band(self.n, self.width, self.border.size), 0.0
-        for first in reversed(range(0, self.n, BLOCKS_AT_ONCE)):  # as `Band` likes it
-            for term in self.at(states, robust, first, min(first + BLOCKS_AT_ONCE, self.n)):
-                cost += _add(band, term, "plain" if robust.plain else curvature)
+        band = Band(self.n, self.width, self.border.size)
+        told: Curvature | Literal["plain"] = "plain" if robust.plain else curvature
+
+        def add(to: Band, first: int, stop: int) -> float:
+            return sum(_add(to, term, told) for term in self.at(states, robust, first, stop))
+
+        def section(blocks: range) -> tuple[Band, float]:
+            part, firsts = band.section(), reversed(blocks[::BLOCKS_AT_ONCE])  # as `Band` likes it
+            stop = blocks.stop
+            return part, sum(add(part, j, min(j + BLOCKS_AT_ONCE, stop)) for j in firsts)
+
+        cost, ends = 0.0, _sections(self.n)
+        # The last of a section is tied to the next one: it comes when all are done.
+        inner = [range(a, b - (b < self.n)) for a, b in pairwise(ends)]
+        for part, value in each(section, inner):
+            band.join(part)
+            cost += value
+        cost += sum(add(band, b - 1, b) for b in ends[1:-1])
         self._share_biases(band.gradient.blocks)
         return cost, band
 
@@ -274,6 +291,12 @@ def position_errors(model: Model, states: States, rows: NDArray[np.int64]) -> Ar
         late = len(clocks.acting(model.config, model.sources[s].table)) and states.late_s.any()
         error[own] = late_residual(model, states, rows[own], s, told).error if late else told.error
     return error
+
+
+def _sections(n: int) -> list[int]:
+    """Where the sections of a chain of n begin that are gone through side by side, and n; as many
+    on every machine, so that sums are the same."""
+    return np.linspace(0, n, 1 + (SECTIONS if n >= LONG else 1)).astype(int).tolist()
 
 
 def _add(band: Band, term: Term | Step, curvature: Curvature | Literal["plain"]) -> float:

@@ -8,10 +8,13 @@ from numpy.typing import NDArray
 
 from fgloc.factors import noise
 from fgloc.measurements import Array
+from fgloc.parallel import each
 
 ALONE = 1e-9
 """A measurement that leaves the rest of the graph less than this share of its own information is
 all that holds its state."""
+AT_ONCE = 8192
+"""So many measurements are left out at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +60,18 @@ def leave_out(
     the residual, the prediction without it has the error R_w (R_w - P)^-1 r and the covariance
     R_w (R_w - P)^-1 R_w - R_w.
     """
-    weighted = own / weight[:, None, None]
-    spread, without = predicted.copy(), error.copy()
-    rest = weighted[kept] - predicted[kept]
-    gain = weighted[kept] @ np.linalg.inv(rest)
-    without[kept] = np.einsum("nij,nj->ni", gain, error[kept])
-    spread[kept] = gain @ weighted[kept] - weighted[kept]
-    informed = np.ones(len(error), bool)
-    least = ALONE * weighted[kept].trace(axis1=1, axis2=2)
-    informed[kept] = noise.positive_definite(rest - least[:, None, None] * np.eye(error.shape[1]))
+    spread, without, informed = predicted.copy(), error.copy(), np.ones(len(error), bool)
+
+    def fill(rows: NDArray[np.int64]) -> None:
+        weighted = own[rows] / weight[rows, None, None]
+        rest = weighted - predicted[rows]
+        gain = weighted @ np.linalg.inv(rest)
+        without[rows] = np.einsum("nij,nj->ni", gain, error[rows])
+        spread[rows] = gain @ weighted - weighted
+        least = ALONE * weighted.trace(axis1=1, axis2=2)
+        share = least[:, None, None] * np.eye(error.shape[1])
+        informed[rows] = noise.positive_definite(rest - share)
+
+    rows = np.flatnonzero(kept)
+    each(fill, [rows[i : i + AT_ONCE] for i in range(0, len(rows), AT_ONCE)])
     return LeftOut(keys, without, spread, own, weight, informed, kept)

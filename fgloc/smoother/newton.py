@@ -26,7 +26,8 @@ LEAST = 1e-3
 that the next ones seem to come near faster than they do."""
 FINE = 1e-5
 """Covariances are those of before the last step where that promises no more than this share of the
-cost: what it moves is then a few thousandths of what each measurement's noise is."""
+cost: what it moves is then a few thousandths of what each measurement's noise is. Where nearness
+will do, so it does for them."""
 
 
 class Cost(Protocol):
@@ -79,8 +80,9 @@ class Descent:
             done = (left <= enough or promise <= share * value) and damping <= FIRST_DAMPING
             if done and np.abs(step.blocks[:, :3]).max() < SHORT_RAD:
                 self.converged = True
-                fine = curvature == "weights" and damping == 0 and promise <= FINE * value
-                self.factor = factor if fine else None
+                fine = share > 0 or promise <= FINE * value
+                weighs = self.robust.plain or curvature == "weights"
+                self.factor = factor if weighs and fine and damping == 0 else None
                 return trial, value - promise
             del band, factor  # which have the same memory: there is room for one
             ends = promise <= (SURE if curvature == "newton" else FINE) * value

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fgloc.factors import imu
 from fgloc.factors.preintegration import join
+from fgloc.parallel import each
 from fgloc.references import References
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import States
@@ -20,6 +21,8 @@ from fgloc.smoother.states import States
 APART_S = 1.0
 WORTH = 3
 """A sketch is worth its trouble where it has this many times fewer keyframes than the drive."""
+AT_ONCE = 1024
+"""So many intervals are put together at a time, which fit the processor's cache."""
 
 Keys = NDArray[np.int64]
 
@@ -61,12 +64,23 @@ def few_model(model: Model, keys: Keys, gated: NDArray[np.bool_]) -> Model:
 
 def few_deltas(deltas: imu.ImuDeltas, keys: Keys) -> imu.ImuDeltas:
     """The IMU from each of some keyframes to the next, from that between all keyframes."""
+    parts = each(lambda own: _joined(deltas, own), _portions(keys))
+    return imu.ImuDeltas(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _joined(deltas: imu.ImuDeltas, keys: Keys) -> imu.ImuDeltas:
+    """The same, all at once."""
     whole = deltas.take(keys[:-1])
     for some, rows in _steps(keys, first=1):
         joined = join(whole.take(some), deltas.take(rows))
         for column, values in zip(whole, joined, strict=True):
             column[some] = values
     return whole
+
+
+def _portions(keys: Keys) -> list[Keys]:
+    """Keyframes in portions, each with the first of the next one."""
+    return [keys[k : k + AT_ONCE + 1] for k in range(0, len(keys) - 1, AT_ONCE)]
 
 
 def all_states(

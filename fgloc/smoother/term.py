@@ -9,10 +9,13 @@ from fgloc.errors import SolverError
 from fgloc.factors import noise
 from fgloc.factors.fields import inverse_of_lower, of, rows
 from fgloc.measurements import Array
+from fgloc.parallel import each
 from fgloc.smoother.model import Model
 
 POSE, VELOCITY, BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15)
 STATE, FULL = np.arange(9), np.arange(15)
+AT_ONCE = 4096
+"""So many matrices are inverted at a time."""
 
 
 class Term(NamedTuple):
@@ -88,9 +91,14 @@ class Border(NamedTuple):
 
 def whitening(model: Model, cov: Array, keys: NDArray[np.int64]) -> Array:
     """W (m, r, r) with W cov W' = I; SolverError names the keyframe where there is none."""
+    W = np.empty_like(cov, np.float64)
+
+    def fill(part: slice) -> None:
+        W[part] = rows(inverse_of_lower(of(np.asarray(np.linalg.cholesky(cov[part]), np.float64))))
+
     try:
-        L = of(np.asarray(np.linalg.cholesky(cov), np.float64))
-        return np.ascontiguousarray(rows(inverse_of_lower(L)))
+        each(fill, [slice(i, i + AT_ONCE) for i in range(0, len(cov), AT_ONCE)])
+        return W
     except np.linalg.LinAlgError as err:
         sound = np.nan_to_num(cov, nan=-1.0, posinf=-1.0, neginf=-1.0)
         j = int(keys[np.argmin(np.linalg.eigvalsh(sound)[:, 0] > 0)])

@@ -71,7 +71,7 @@ class Whole:
         self.converged = iterations < self.model.config.solver.max_iterations
         return states, float(graph.error(solved)), total
 
-    def rough_predictions(self, states: States) -> None:
+    def rough_predictions(self, states: States, rows: NDArray[np.int64]) -> None:
         """None: GTSAM solves no sketch."""
 
     def covariances(self, states: States, robust: Robustness) -> Spread:

@@ -13,6 +13,7 @@ from fgloc.evaluation import (
     nees,
     score,
 )
+from fgloc.evaluation.consistency import leading_nees
 from fgloc.trajectory import Trajectory
 
 from .curves import curve, straight
@@ -27,6 +28,17 @@ def test_nees_of_a_singular_covariance_is_unknown():
     cov = np.array([np.diag([1.0, 0.0]), np.ones((2, 2)), np.eye(2)])
     result = nees(np.ones((3, 2)), cov)
     assert np.isnan(result[:2]).all() and result[2] == pytest.approx(2)
+
+
+def test_nees_of_the_leading_components_is_theirs_alone():
+    rng = np.random.default_rng(1)
+    A, error = rng.standard_normal((9, 6, 6)), rng.standard_normal((9, 6))
+    cov = A @ A.swapaxes(-1, -2)
+    error[2, 4], cov[5, 3:, 3:], cov[7, :, 5], cov[7, 5, :] = np.nan, 0.0, 0.0, 0.0
+    told = leading_nees(error, cov, [2, 3, 6])
+    for size, values in zip([2, 3, 6], told, strict=True):
+        np.testing.assert_allclose(values, nees(error[:, :size], cov[:, :size, :size]))
+    assert np.isfinite(told[0]).all() and np.isnan(told[2][[2, 5, 7]]).all()
 
 
 def test_a_planar_estimate_is_judged_in_the_plane():
