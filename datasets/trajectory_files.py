@@ -1,11 +1,10 @@
 """Trajectories as files: TUM for other tools, CSV with everything, GeoJSON for maps."""
 
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic_core import to_json
+import orjson
 
 from fgloc.datasets.columns import Columns
 from fgloc.datasets.csv_table import format_rows, read_csv, write_csv
@@ -64,10 +63,9 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     if trajectory.R_world_veh is not None:
         q = matrix_to_quat_xyzw(trajectory.R_world_veh)
     stamps = map(ns_to_decimal, trajectory.t_ns.tolist())
-    parts = format_rows([*trajectory.p_world_m.T, *q.T], " ")
-    rows = chain.from_iterable(part.splitlines(keepends=True) for part in parts)
-    with Path(path).open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(f"{t} {row}" for t, row in zip(stamps, rows, strict=True))
+    rows = format_rows(np.concatenate([trajectory.p_world_m, q], -1))
+    lines = (f"{t},".encode() + row for t, row in zip(stamps, rows, strict=True))
+    Path(path).write_bytes(b"\n".join(lines).replace(b",", b" ") + b"\n")
 
 
 def read_tum(path: str | Path) -> Trajectory:
@@ -103,7 +101,9 @@ def write_geojson(
     features = [_feature(name, trajectory, origin)]
     if truth is not None:
         features.append(_feature("truth", truth, origin))
-    text = to_json({"type": "FeatureCollection", "features": features})
+    text = orjson.dumps(
+        {"type": "FeatureCollection", "features": features}, option=orjson.OPT_SERIALIZE_NUMPY
+    )
     Path(path).write_bytes(text + b"\n")
 
 
@@ -113,7 +113,7 @@ def _feature(name: str, trajectory: Trajectory, origin: Origin) -> dict[str, Any
     lat, lon, height = origin.to_geodetic(trajectory.p_world_m).T
     lon = (lon + 180) % 360 - 180
     columns = (lon.round(_DEGREE_DIGITS), lat.round(_DEGREE_DIGITS), height.round(_HEIGHT_DIGITS))
-    coordinates = np.stack(columns, axis=-1).tolist()
+    coordinates = np.stack(columns, axis=-1)
     one = len(coordinates) == 1  # a line needs two positions
     return {
         "type": "Feature",

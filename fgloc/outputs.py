@@ -5,13 +5,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import pairwise, repeat
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydantic_core import to_json
 
+from fgloc.datasets.csv_table import format_rows
 from fgloc.drive import Drive
 from fgloc.errors import InputError
 from fgloc.evaluation import Judgement, judge, requirements, score_posts
@@ -321,25 +322,29 @@ def _verdict_lines(verdicts: Verdicts) -> Iterator[bytes]:
 
 
 def _verdict_rows(table: SourceVerdicts, part: slice) -> Iterator[bytes]:
-    """Lines of some rows of a source, for each run of rows with one verdict and reason.
-
-    Their numbers by pydantic's JSON: the shortest exact texts, in which the ends of rows are put
-    where its brackets stand, and the verdict for a cell that is `true`."""
-    times = [table.t_ns[part].tolist(), table.received_ns[part].tolist()]
-    found = [column[part] for column in (table.nis, table.dof, table.threshold)]
-    judged = found[1].any() or not (np.isnan(found[0]) & np.isnan(found[2])).all()
-    numbers = [column.tolist() for column in found] if judged else []
+    """Lines of some rows of a source, whose ends are made once for each run of rows with one
+    verdict and reason."""
+    rows = format_rows(np.stack([table.t_ns[part], table.received_ns[part]], -1))
+    judged = table.dof[part].any() or not np.isnan([table.nis[part], table.threshold[part]]).all()
+    told = _told(table, part) if judged else []
     fates, whys = table.fate[part], table.why[part]
     changes = np.flatnonzero((fates[1:] != fates[:-1]) | (whys[1:] != whys[:-1])) + 1
+    begin = f"{_cell(table.source)},".encode()
     for first, stop in pairwise([0, *changes.tolist(), len(fates)]):
-        run = slice(first, stop)
-        rows = zip(*(column[run] for column in times), repeat(True, stop - first),
-                   *(column[run] for column in numbers), strict=True)  # fmt: skip
-        text = to_json(list(rows))[2:-2].replace(b"NaN", b"").replace(b"Infinity", b"inf")
-        nothing = "" if judged else ",,0,"
-        end = f"{nothing},{_cell(table.reasons[whys[first]])}\n".encode()
-        begin, fate = f"{_cell(table.source)},".encode(), FATES[fates[first]].encode()
-        yield begin + text.replace(b"true", fate).replace(b"],[", end + begin) + end
+        fate, reason = FATES[fates[first]], _cell(table.reasons[whys[first]])
+        lines, end = rows[first:stop], f",{fate},,0,,{reason}\n".encode()
+        if judged:
+            middle, end = f",{fate},".encode(), f",{reason}\n".encode()
+            pairs = zip(lines, told[first:stop], strict=True)
+            lines = [times + middle + numbers for times, numbers in pairs]
+        yield begin + (end + begin).join(lines) + end
+
+
+def _told(table: SourceVerdicts, part: slice) -> list[bytes]:
+    """NIS, degrees of freedom and threshold of some rows; empty for NaN."""
+    columns = (column[part].tolist() for column in (table.nis, table.dof, table.threshold))
+    text = to_json(list(zip(*columns, strict=True)))[2:-2]
+    return text.replace(b"NaN", b"").replace(b"Infinity", b"inf").split(b"],[")
 
 
 def _number(value: float) -> str:
