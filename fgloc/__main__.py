@@ -1,8 +1,6 @@
 """`python -m fgloc`, the same as the command `fgloc`."""
 
-import sys
-
-from fgloc.cli import main
+from fgloc.cli import run
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

@@ -9,6 +9,8 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
+from typing import NoReturn
 
 import click
 
@@ -22,7 +24,7 @@ from fgloc.cli.runs import baseline, smooth
 from fgloc.cli.tuning import tune
 from fgloc.errors import FglocError
 
-__all__ = ["cli", "main"]
+__all__ = ["cli", "main", "run"]
 
 TRACEBACK = "FGLOC_TRACEBACK"
 """Set to 1 in the environment, errors come with the lines of code they passed through."""
@@ -66,6 +68,16 @@ for _command in (
     explain, correspond, perceive,
 ):  # fmt: skip
     cli.add_command(_command)
+
+
+def run() -> NoReturn:
+    """The command `fgloc`: it ends once all is written, and does not wait the tenth of a second in
+    which Python takes its modules down."""
+    status = main()
+    with suppress(OSError):  # nobody reads any more
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(status)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

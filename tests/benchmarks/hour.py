@@ -7,8 +7,8 @@ The drive is `city`, seed 0: IMU at 100 Hz, GPS at 10 Hz, and at 10 Hz what one 
 of the car, with white errors. It is read from CSV and written as CSV, TUM and GeoJSON. Both read
 the same folder, in turn, and solve the same problem: the bare script takes the robust loss that
 fgloc has by default, and a column says how far apart the two costs are. It gets no drive longer
-than `--bare-up-to`, and gives no verdicts, scores or intervals. Of fgloc the table says in what
-stage the processor time goes: `rest` is imports and what has no name. Peak memory is what the
+than `--bare-up-to`, and gives no verdicts, scores or intervals. Another run of fgloc tells in which
+stage the time by the clock goes: `rest` is imports and what has no name. Peak memory is what the
 system reports of the process. Python's compiled code is there, as after any first run.
 """
 
@@ -109,7 +109,8 @@ def print_run(minutes: float, temp: Path, *, with_bare: bool) -> None:
     """Run fgloc, and the bare script if wanted, and print a line."""
     stages, out = temp / "stages.json", temp / "result"
     smooth = ["smooth", temp / "city", "--no-report", "--json", "--out", out]
-    ours = run([sys.executable, __file__, "--profiled", stages, *smooth])
+    ours = run([sys.executable, "-m", "fgloc", *smooth])
+    again = run([sys.executable, __file__, "--profiled", stages, *smooth])
     told = json.loads(stages.read_text())
     bare = " " * 48
     if with_bare:
@@ -118,7 +119,7 @@ def print_run(minutes: float, temp: Path, *, with_bare: bool) -> None:
         ratios = f"{ours.wall_s / theirs.wall_s:6.3f} {ours.cpu_s / theirs.cpu_s:6.3f}"
         apart = json.loads(ours.text)["cost"] / json.loads(theirs.text)["cost"] - 1
         bare = f"{theirs} {ratios} {apart:10.1e}"
-    spent = [*(told.get(name, 0.0) for name in STAGES), ours.cpu_s - sum(told.values())]
+    spent = [*(told.get(name, 0.0) for name in STAGES), again.wall_s - sum(told.values())]
     print(f"{minutes:5g} {ours} {bare}   ", end="")
     print(*(f"{seconds:12.2f}" for seconds in spent), flush=True)
 
@@ -156,7 +157,7 @@ def run(command: list) -> Run:
 
 
 def profiled(stages: Path, arguments: list[str]) -> int:
-    """The command line in this process; processor time of each stage goes to a file."""
+    """The command line in this process; the time of each stage goes to a file."""
     from fgloc.cli import main as command_line
 
     spent: Counter = Counter()
@@ -169,7 +170,7 @@ def profiled(stages: Path, arguments: list[str]) -> int:
 
 
 def watch(owner: object, name: str, stage: str, spent: Counter, inside: list[float]) -> None:
-    """Put a function in a function's place that counts its processor time."""
+    """Put a function in a function's place that counts its time."""
     *parents, name = name.split(".")
     owner = functools.reduce(getattr, parents, owner)
     function = getattr(owner, name)
@@ -177,11 +178,11 @@ def watch(owner: object, name: str, stage: str, spent: Counter, inside: list[flo
     @functools.wraps(function)
     def timed(*args, **kwargs):
         inside.append(0.0)
-        began = time.process_time()
+        began = time.perf_counter()
         try:
             return function(*args, **kwargs)
         finally:
-            took = time.process_time() - began
+            took = time.perf_counter() - began
             spent[stage] += took - inside.pop()
             inside[-1] += took
 
