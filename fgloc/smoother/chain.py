@@ -23,7 +23,7 @@ from fgloc.smoother.term import BIAS, POSE, VELOCITY, Step, Term
 from fgloc.smoother.terms import Terms, late_residual, position_residual
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 1024
+BLOCKS_AT_ONCE = 2048
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
 SECTIONS, LONG = 4, 2048
 """A chain from so many keyframes on is gone through in so many sections side by side."""
