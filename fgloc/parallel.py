@@ -1,7 +1,7 @@
 """The same work on many parts, on several processors.
 
-Threads: numpy, LAPACK and Arrow let go of Python's lock while they compute. Parts should be large,
-some 10 ms each, or waiting for the lock takes what they gain.
+Threads: numpy and Arrow let go of Python's lock while they compute. Parts should be large, some
+10 ms each and of calls of 0.1 ms, or waiting for the lock takes what they gain.
 """
 
 import os

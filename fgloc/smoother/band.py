@@ -224,15 +224,7 @@ class Factor:
                     follows[run] = after
                     after = S[run, 0] + C[run, 0].T @ after @ C[run, 0]
                 parts.append((rows, S, C, follows))
-
-            def finish(part: tuple[slice, Array, Array, Array]) -> None:
-                rows, S, C, follows = part
-                C = np.ascontiguousarray(C[..., keep])
-                brought = (C.swapaxes(-1, -2) @ follows[:, None] @ C).reshape(-1, *out.shape[1:])
-                blocks = slice(rows.start - rows.stop, None)
-                out[rows] = square(S.reshape(-1, d, d)[blocks], keep) + brought[blocks]
-
-            each(finish, parts)
+            each(lambda part: _bring_in(out, keep, *part), parts)
         return out
 
     def _steps(self, rows: slice) -> tuple[Array, Array]:
@@ -252,6 +244,16 @@ class Factor:
             S[:, k] += C[:, k].swapaxes(-1, -2) @ S[:, k + 1] @ C[:, k]
             C[:, k] = C[:, k + 1] @ C[:, k]
         return S, C
+
+
+def _bring_in(
+    out: Array, keep: NDArray[np.int64], rows: slice, S: Array, C: Array, after: Array
+) -> None:
+    """Write blocks of the inverse: what `Factor._steps` gives, with what comes after each run."""
+    C = np.ascontiguousarray(C[..., keep])
+    brought = (C.swapaxes(-1, -2) @ after[:, None] @ C).reshape(-1, *out.shape[1:])
+    blocks = slice(rows.start - rows.stop, None)
+    out[rows] = square(S.reshape(-1, *S.shape[-2:])[blocks], keep) + brought[blocks]
 
 
 @cache

@@ -71,13 +71,30 @@ def test_what_the_car_says_is_predicted_as_well_as_by_gtsam(city):
             assert relative(mine[source][[i]], (J @ cov @ J.T)[None])[0] < 1e-3
 
 
-def test_portions_make_no_difference(city, monkeypatch):
-    model, start, one, _ = solvers(city(1, 20.0))
+SHARED = {
+    "a bias that keyframes share": ({}, {}),
+    "a survey that is off": ({"sigma_position_m": 0.5, "sigma_yaw_rad": 0.02}, {}),
+    "the vehicle's calibration": ({}, {"vehicle": {"non_holonomic": True, "wheel_speed": True}}),
+    "slow errors of the node": ({"bias_sigma_m": 1.0, "bias_tau_s": 20.0}, {}),
+    "a post that sways": (None, {}),
+}
+
+
+@pytest.mark.parametrize("what", SHARED)
+@pytest.mark.parametrize("changed", [{"BLOCKS_AT_ONCE": 7}, {"LONG": 9, "BLOCKS_AT_ONCE": 7}])
+def test_portions_and_sections_make_no_difference(city, monkeypatch, what, changed):
+    node, settings = SHARED[what]
+    drive = make("khamooshi2023/sway-drive", seed=5, duration_s=8.0, users=1)
+    drive = drive if node is None else seen_by_a_node(city(1, 20.0), **node)
+    model, start, one, _ = solvers(drive, **settings)
     states, robust = States.of(start, model), robustness(one)
     cost, whole = one.linearize(states, robust, "weights")
-    monkeypatch.setattr("fgloc.smoother.chain.BLOCKS_AT_ONCE", 7)
+    for name, value in changed.items():
+        monkeypatch.setattr(f"fgloc.smoother.chain.{name}", value)
     cost_of_many, many = one.linearize(states, robust, "weights")
     assert cost_of_many == pytest.approx(cost, rel=1e-12)
+    np.testing.assert_allclose(many.panels, whole.panels, rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(many.corner, whole.corner, rtol=1e-9)
     x, y = (flat(band.factor().solve(band.gradient)) for band in (whole, many))
     np.testing.assert_allclose(x, y, atol=1e-6 * np.abs(x).max())
 
