@@ -43,10 +43,10 @@ def test_at_least_one_processor_may_be_used():
 
 
 def test_a_drive_is_solved_to_the_same_bit_on_any_number_of_processors(monkeypatch):
-    drive, found = fgloc.make("city", seed=3, duration_s=250.0), []
+    monkeypatch.setattr("fgloc.smoother.chain.LONG", 100)
+    drive, found = fgloc.make("city", seed=3, duration_s=60.0), []
     for number in (1, 2, 4):
         monkeypatch.setattr(parallel, "processors", lambda number=number: number)
         found.append(fgloc.smooth(drive, settings=["keyframe_interval_s=0.1"]))
-    assert len(found[0].trajectory) > 2048
     assert all(one.trajectory.same_as(found[0].trajectory) for one in found)
     assert len({one.summary["cost"] for one in found}) == 1

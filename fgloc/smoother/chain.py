@@ -25,7 +25,7 @@ from fgloc.timing import iso_utc
 
 BLOCKS_AT_ONCE = 2048
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
-SECTIONS, LONG = 4, 2048
+SECTIONS, LONG = 4, 8192
 """A chain from so many keyframes on is gone through in so many sections side by side."""
 
 
