@@ -70,33 +70,39 @@ def _variances(noise: ArrayLike, n: int) -> Array:
     return square.T if square.ndim == 2 else np.broadcast_to(square, (1, n))
 
 
-def join(first: ImuDeltas, second: ImuDeltas) -> ImuDeltas:
-    """Intervals (N,) and those that follow them as one, from their sums alone.
+def joined(deltas: ImuDeltas, first: NDArray[np.int64]) -> ImuDeltas:
+    """Runs of intervals as one each, from their sums alone: run k is first[k]:first[k + 1].
 
-    Both must be linearised at the same bias. The sums of the whole differ to second order in what
+    All must be linearised at the same bias. The sums of the whole differ to second order in what
     turns within a sample.
     """
-    (theta_1, p_1, v_1), (theta_2, p_2, v_2) = (
-        np.split(deltas.delta, 3, axis=1) for deltas in (first, second)
-    )
-    R_1, R_2, T = exp_so3(theta_1), exp_so3(theta_2), second.dt_s[:, None, None]
-    R = R_1 @ R_2
+    run = deltas.take(first[:-1])
+    R, cov, dt_s = exp_so3(run.delta[:, :3]), run.cov, run.dt_s
+    p, v, by_bias = run.delta[:, 3:6], run.delta[:, 6:], _end(run, R)
+    for s in range(1, int(np.diff(first).max(initial=0))):
+        own = np.flatnonzero(first[:-1] + s < first[1:])
+        step = deltas.take(first[own] + s)
+        p_2, v_2, T = step.delta[:, 3:6], step.delta[:, 6:], step.dt_s[:, None]
+        R_1, R_2 = R[own], exp_so3(step.delta[:, :3])
+        F = _travel(R_2, p_2, v_2, T)
+        cov[own] = F @ cov[own] @ F.swapaxes(-1, -2) + step.cov
+        by_bias[own] = F @ by_bias[own] + _end(step, R_2)
+        p[own] += v[own] * T + np.einsum("nij,nj->ni", R_1, p_2)
+        v[own] += np.einsum("nij,nj->ni", R_1, v_2)
+        R[own], dt_s[own] = R_1 @ R_2, dt_s[own] + step.dt_s
     theta = log_so3(R)
-    p = p_1 + v_1 * T[..., 0] + np.einsum("nij,nj->ni", R_1, p_2)
-    v = v_1 + np.einsum("nij,nj->ni", R_1, v_2)
-    # How errors of the first travel, in the frames of the two ends.
-    back = R_2.swapaxes(-1, -2)
-    F = np.zeros_like(first.cov)
-    F[:, :3, :3] = F[:, 3:6, 3:6] = F[:, 6:, 6:] = back
-    F[:, 3:6, :3], F[:, 6:, :3] = -back @ skew(p_2), -back @ skew(v_2)
-    F[:, 3:6, 6:] = back * T
-    cov = F @ first.cov @ F.swapaxes(-1, -2) + second.cov
-    # The Jacobians by the bias are those of errors at the end, but for the frame they stand in.
-    by_bias = F @ _end(first, R_1) + _end(second, R_2)
     by_bias[:, :3] = right_jacobian_inverse_so3(theta) @ by_bias[:, :3]
     by_bias[:, 3:6], by_bias[:, 6:] = R @ by_bias[:, 3:6], R @ by_bias[:, 6:]
-    delta = np.concatenate([theta, p, v], axis=1)
-    return ImuDeltas(delta, by_bias, cov, first.dt_s + second.dt_s, second.bias_hat)
+    return ImuDeltas(np.concatenate([theta, p, v], axis=1), by_bias, cov, dt_s, run.bias_hat)
+
+
+def _travel(R: Array, p: Array, v: Array, T: Array) -> Array:
+    """How errors (N, 9) at the start of intervals travel, in the frames of their two ends."""
+    back, F = R.swapaxes(-1, -2), np.zeros((len(R), 9, 9))
+    F[:, :3, :3] = F[:, 3:6, 3:6] = F[:, 6:, 6:] = back
+    F[:, 3:6, :3], F[:, 6:, :3] = -back @ skew(p), -back @ skew(v)
+    F[:, 3:6, 6:] = back * T[..., None]
+    return F
 
 
 def _end(deltas: ImuDeltas, R: Array) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.factors import imu
-from fgloc.factors.preintegration import join
+from fgloc.factors.preintegration import joined
 from fgloc.parallel import each
 from fgloc.references import References
 from fgloc.smoother.model import Model
@@ -64,18 +64,8 @@ def few_model(model: Model, keys: Keys, gated: NDArray[np.bool_]) -> Model:
 
 def few_deltas(deltas: imu.ImuDeltas, keys: Keys) -> imu.ImuDeltas:
     """The IMU from each of some keyframes to the next, from that between all keyframes."""
-    parts = each(lambda own: _joined(deltas, own), _portions(keys))
+    parts = each(lambda own: joined(deltas, own), _portions(keys))
     return imu.ImuDeltas(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def _joined(deltas: imu.ImuDeltas, keys: Keys) -> imu.ImuDeltas:
-    """The same, all at once."""
-    whole = deltas.take(keys[:-1])
-    for some, rows in _steps(keys, first=1):
-        joined = join(whole.take(some), deltas.take(rows))
-        for column, values in zip(whole, joined, strict=True):
-            column[some] = values
-    return whole
 
 
 def _portions(keys: Keys) -> list[Keys]:
@@ -100,9 +90,9 @@ def all_states(
     return replace(few, R=R, p=p, v=v, bias=bias[first], slow=few.slow[of], posts=few.posts[of])
 
 
-def _steps(keys: Keys, first: int = 0) -> Iterator[tuple[Keys, Keys]]:
+def _steps(keys: Keys) -> Iterator[tuple[Keys, Keys]]:
     """Step by step from keyframe to keyframe, the intervals between keys that are not at their end
     yet, and the keyframes where they are."""
-    for s in range(first, int(np.diff(keys).max(initial=0))):
+    for s in range(int(np.diff(keys).max(initial=0))):
         some = np.flatnonzero(keys[:-1] + s < keys[1:])
         yield some, keys[some] + s

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fgloc.factors import imu
-from fgloc.factors.preintegration import join, preintegrate
+from fgloc.factors.preintegration import joined, preintegrate
 
 GRAVITY = 9.8
 ACCEL_NOISE, GYRO_NOISE = 0.02, 0.003
@@ -109,14 +109,14 @@ def test_axes_that_are_alike_may_be_told_one_by_one():
 
 
 @pytest.mark.parametrize("turn_radps", [0.01, 0.1, 1.0])
-def test_two_intervals_joined_are_the_whole(turn_radps):
+def test_intervals_joined_are_the_whole(turn_radps):
     """To second order in a sample's turn, which the sum of the whole leaves out along its way."""
     measured = samples(120, turn_radps=turn_radps)
-    first, middle, stop = np.array([0, 30]), np.array([50, 31]), np.array([90, 120])
+    begin, stop = np.array([0, 30, 50, 90, 95]), np.array([30, 50, 90, 95, 120])
     noise = ACCEL_NOISE, GYRO_NOISE
-    parts = (
-        preintegrate(*measured, a, b[None], *noise).take(0)
-        for a, b in ((first, middle), (middle, stop))
-    )
-    whole = preintegrate(*measured, first, stop[None], *noise).take(0)
-    assert_same(join(*parts), whole, atol=(3 * turn_radps * measured[2].max()) ** 2 / 2)
+    parts = preintegrate(*measured, begin, stop[None], *noise).take(0)
+    runs = np.array([0, 1, 3, 5])  # of one interval, of two and of two
+    ends = np.append(begin, 120)[runs]
+    whole = preintegrate(*measured, ends[:-1], ends[None, 1:], *noise).take(0)
+    assert_same(joined(parts, runs), whole, atol=(3 * turn_radps * measured[2].max()) ** 2 / 2)
+    assert_same(joined(parts, runs).take([0]), parts.take([0]), atol=1e-12)
