@@ -1,10 +1,11 @@
 """A roadside node's detection: the centre of the box around the vehicle is where the node says.
 
-Model: in the world's horizontal plane, z + J s = p_world_veh + R_world_veh b + c + n, with z where
-the detection lies by the node's survey, s by what the node is off it (east and north in m, yaw in
-rad), b the centre of the box in the vehicle frame, c an optional slow bias as of a GNSS fix and n
-white noise. Its covariance is what the node states, or a law of the distance d in the node's line
-of sight to the car:
+Model: in the world's horizontal plane, and in height where the node tells one,
+z + J s = p_world_veh + R_world_veh b + c + n, with z where the detection lies by the node's survey,
+s by what the node is off it (east and north in m, yaw in rad, up in m), b the centre of the box in
+the vehicle frame, c an optional slow bias as of a GNSS fix and n white noise. Nothing but a sway
+tilts a node: that it is level counts as exact. The covariance is what the node states, or in the
+plane a law of the distance d in the node's line of sight to the car:
 
 - Lee et al. (2021) (19): sigma along |0.051 d - 0.702| m, across 0.3 m. Differs from the paper:
   the law is 0 at 13.76 m, so it has a floor, and it holds in the line of sight, not East/North.
@@ -46,10 +47,10 @@ def line_of_sight_cov_m2(direction: Array, along_m: ArrayLike, across_m: ArrayLi
 
 
 def by_survey(z_world_m: Array, p_world_node_m: Array) -> Array:
-    """Jacobian (N, 3, 3) of detections (N, 3) by the node's survey error: a shift east and north,
-    and a turn about the vertical through the node."""
+    """Jacobian (N, 3, 4) of detections (N, 3) by the node's survey error: a shift east and north, a
+    turn about the vertical through the node, and a shift up."""
     arm = z_world_m - p_world_node_m
-    J = np.zeros((len(arm), 3, 3))
-    J[:, 0, 0] = J[:, 1, 1] = 1.0
+    J = np.zeros((len(arm), 3, 4))
+    J[:, 0, 0] = J[:, 1, 1] = J[:, 2, 3] = 1.0
     J[:, 0, 2], J[:, 1, 2] = -arm[:, 1], arm[:, 0]
     return J

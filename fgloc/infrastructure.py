@@ -73,6 +73,11 @@ class Node:
         """Positions (N, 2) East and North in m of points (N, 2) in the node's axes."""
         return p_node_m @ self.R_world_node.T + self.p_world_m[:2]
 
+    def place_to_world(self, place_node_m: Array) -> Array:
+        """Places (N, 3) East, North and up in m of points (N, 3) in the node's axes."""
+        up_m = self.p_world_m[2] + place_node_m[:, 2]
+        return np.column_stack([self.to_world(place_node_m[:, :2]), up_m])
+
     def from_world(self, p_world_m: Array) -> Array:
         """Points (N, 2) in the node's axes, m, of positions (N, 2) East and North."""
         return (p_world_m - self.p_world_m[:2]) @ self.R_world_node

@@ -18,13 +18,17 @@ RANGES_M, WIDTH_M = (20.0, 40.0, 60.0), 5.0
 LEFT = "posts.compensate=false"
 
 
-def drives(seed: int, sensor: str, duration_s: float = 84.0) -> dict[str, Drive]:
+def drives(
+    seed: int, sensor: str, duration_s: float = 84.0, *, heights: bool = True
+) -> dict[str, Drive]:
     """The drive of a seed with poses of the node, without sway, without poses, and without poses
-    but with two more cars that have RTK."""
+    but with two more cars that have RTK; a LiDAR tells heights or does not."""
     made = {"poses": {}, "still": {"sways": False}, "bare": {"poses": False},
             "users": {"poses": False, "users": 2}}  # fmt: skip
     return {
-        name: fgloc.make(SCENARIO, seed=seed, sensor=sensor, duration_s=duration_s, **how)
+        name: fgloc.make(
+            SCENARIO, seed=seed, sensor=sensor, duration_s=duration_s, heights=heights, **how
+        )
         for name, how in made.items()
     }
 
@@ -48,8 +52,10 @@ def taken_back(drive: Drive) -> Drive:
     assert np.array_equal(posts.t_ns, seen.t_ns)
     node, post = drive.infrastructure.nodes[0], drive.infrastructure.posts[0]
     sway = np.concatenate([posts.p_node_m, posts.tilt_rad], -1)
-    p_m = compensated(seen.p_node_m, sway, post.height_m, node.sensor)
-    return drive.with_tables(detections=dataclasses.replace(seen, p_node_m=p_m))
+    place_m = compensated(seen.place_node_m, sway, post.height_m, node.sensor)
+    up_m = np.where(seen.has_height, place_m[:, 2], np.nan)
+    still = dataclasses.replace(seen, p_node_m=place_m[:, :2], up_node_m=up_m)
+    return drive.with_tables(detections=still)
 
 
 def rmse_m(drive: Drive, *settings: str) -> Array:

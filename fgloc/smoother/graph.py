@@ -157,8 +157,7 @@ class GraphModel(Model):
             by[S(s)] = -detection.by_survey(z[None], source.p_world_m)[0]
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(self.positions.row[i]), j)
-            by[row.key] = np.pad(row.J, ((0, 1), (0, 0)))
-            z = z + np.append(row.moved_m, 0.0)
+            by[row.key], z = row.J, z + row.moved_m
         return gnss.linked_position_factors(X(j), A(i), self._lever_key(s), z, model, by)
 
     def reference_factors(self, i: int) -> Factors:
@@ -169,8 +168,7 @@ class GraphModel(Model):
         model = noise.gaussian(found.cov_world_m2[i])
         model = noise.robust(model, source.settings.loss, source.settings.loss_width)
         if source.surveyed:
-            arm = np.append(z, 0.0)[None]
-            by[S(s)] = -detection.by_survey(arm, source.p_world_m)[0, :2]
+            by[S(s)] = -detection.by_survey(z[None], source.p_world_m)[0]
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(found.row[i]), int(self.reference_key[i]))
             by[row.key], z = row.J, z + row.moved_m
@@ -231,7 +229,7 @@ class GraphModel(Model):
         source, z = self.sources[s], self.positions.z_world_m[i]
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(self.positions.row[i]), int(self.key_of[i]))
-            z = z + np.append(row.believed_m, 0.0)
+            z = z + row.believed_m
         if source.linked:
             values.insert(A(i), z - np.asarray(slow, float))
         if source.bias is not None:
@@ -242,7 +240,7 @@ class GraphModel(Model):
         for key, s in self._lever_keys.items():
             values.insert(key, self.levers[s])
         for s in self._surveyed:
-            values.insert(S(s), np.zeros(3))
+            values.insert(S(s), np.zeros(4))
         self.car.insert_shared(values)
 
     @property
@@ -258,7 +256,7 @@ class GraphModel(Model):
             factors.append(gtsam.PriorFactorPoint3(key, self.levers[s], tight))
         for s in self._surveyed:
             known = gtsam.noiseModel.Diagonal.Sigmas(self.sources[s].survey_sigmas)
-            factors.append(gtsam.PriorFactorVector(S(s), np.zeros(3), known))
+            factors.append(gtsam.PriorFactorVector(S(s), np.zeros(4), known))
         return [*factors, *self.car.prior_factors()]
 
 

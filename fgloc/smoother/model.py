@@ -109,7 +109,14 @@ class Model:
     @cached_property
     def gate_nis(self) -> Array:
         """(n,) NIS above which each position is gated."""
-        return np.array([source.gate_nis for source in self.sources])[self.positions.source]
+        by_dof = [[source.settings.gate_nis(dof) for dof in (2, 3)] for source in self.sources]
+        return np.array(by_dof)[self.positions.source, self.positions.dof - 2]
+
+    @cached_property
+    def gate_in_plane(self) -> Array:
+        """(n,) NIS above which each position is gated by its place seen from above alone."""
+        by_source = np.array([source.settings.gate_nis(2) for source in self.sources])
+        return by_source[self.positions.source]
 
     @cached_property
     def cov_world_m2(self) -> Array:

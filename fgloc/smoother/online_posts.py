@@ -62,8 +62,8 @@ class OnlinePosts:
         self.swaying.about[j] = self.x[j]
 
     def moved(self, s: int, row: int, k: int) -> tuple[Array, Array]:
-        """How far sway is believed to move a detection (2,) of source s at keyframe k, and the
-        covariance of that (2, 2); what pose and post have in common is left out."""
+        """How far sway is believed to move a detection (3,) of source s at keyframe k, and the
+        covariance of that (3, 3); what pose and post have in common is left out."""
         slot = int(self.swaying.slot[self.swaying.of_source[s]])
         own = self.swaying.at(slot)
         moved, J = self.swaying.moved(s, np.array([row]), self.x[k, own][None])

@@ -69,14 +69,14 @@ class Border(NamedTuple):
         erring = model.car.velocities.err
         velocity = slice(offset.stop, offset.stop + 2 * erring)
         surveyed = [s for s, source in enumerate(model.sources) if source.surveyed]
-        survey = {s: slice(velocity.stop + 3 * i, velocity.stop + 3 * i + 3)
+        survey = {s: slice(velocity.stop + 4 * i, velocity.stop + 4 * i + 4)
                   for i, s in enumerate(surveyed)}  # fmt: skip
         return cls(late, car, offset, velocity, survey)
 
     @property
     def size(self) -> int:
         """How many unknowns there are."""
-        return int(self.velocity.stop) + 3 * len(self.survey)
+        return int(self.velocity.stop) + 4 * len(self.survey)
 
     def by(self, at: slice | NDArray[np.int64], jacobian: Array) -> Array:
         """Jacobians (n, m, q) by some of the shared unknowns among those by all of them. One by

@@ -251,12 +251,12 @@ def position_residual(
     if model.sources[s].surveyed:
         z = z + by_survey(model, rows, s) @ states.survey[s]
     if s in model.swaying.of_source:
-        z[:, :2] += moved(model, states, s, model.positions.row[rows], keys)
+        z = z + moved(model, states, s, model.positions.row[rows], keys)
     return gnss.residual(states.p[keys], states.R[keys], z, lever, bias)
 
 
 def by_survey(model: Model, rows: NDArray[np.int64], s: int) -> Array:
-    """How detections of node s move with what its survey is off (n, 3, 3)."""
+    """How detections of node s move with what its survey is off (n, 3, 4)."""
     return detection.by_survey(model.positions.z_world_m[rows], model.sources[s].p_world_m)
 
 

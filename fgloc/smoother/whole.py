@@ -114,7 +114,7 @@ class Whole:
             keys, parts = [*keys, S(s)], [*parts, -J]
         if s in model.swaying.of_source:
             row = model.swaying.row(s, int(model.positions.row[i]), j)
-            keys, parts = [*keys, row.key], [*parts, np.pad(row.J, ((0, 1), (0, 0)))]
+            keys, parts = [*keys, row.key], [*parts, row.J]
         H = np.hstack(parts)
         # GTSAM orders a joint covariance as it is asked to.
         P = H @ (joint(keys) if len(keys) > 1 else cov[j]) @ H.T

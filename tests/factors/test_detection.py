@@ -35,8 +35,8 @@ def test_a_survey_turned_by_a_degree_moves_what_is_60_m_away_by_a_metre():
     z, node = np.array([[70.0, 10.0, 0.0]]), np.array([10.0, 10.0, 6.0])
     (J,) = detection.by_survey(z, node)
     turn = np.deg2rad(1.0)
-    np.testing.assert_allclose(J @ [0, 0, turn], [0, 60 * turn, 0])
-    np.testing.assert_allclose(J @ [0.3, -0.2, 0], [0.3, -0.2, 0])
+    np.testing.assert_allclose(J @ [0, 0, turn, 0], [0, 60 * turn, 0])
+    np.testing.assert_allclose(J @ [0.3, -0.2, 0, 0.1], [0.3, -0.2, 0.1])
 
 
 def test_the_jacobian_by_the_survey_is_the_slope():

@@ -39,6 +39,12 @@ def drive():
     return fgloc.make(SCENARIO, seed=5, duration_s=8.0, users=1)
 
 
+@pytest.fixture(scope="module")
+def high():
+    """A LiDAR that tells heights, and a user who does."""
+    return fgloc.make(SCENARIO, seed=5, duration_s=8.0, users=1, sensor="lidar")
+
+
 def two_posts(seen_s=(0.0, 0.1, 0.4, 0.5), nodes=(0, 0, 1, 1)) -> Drive:
     """Two nodes on posts of which the one sees something before the other does; a pose of each."""
     t_ns = np.round(np.array(seen_s) * 1e9).astype(np.int64)
@@ -114,20 +120,30 @@ def test_a_microsecond_between_two_keyframes_can_be_solved():
     np.testing.assert_allclose(-np.linalg.inv(after[0]) @ before[0], np.eye(6), atol=1e-3)
 
 
+def every_other_height(drive):
+    """The drive with every second detection telling no height."""
+    seen = drive.tables["detections"]
+    told = np.arange(len(seen)) % 2 == 0
+    up, sigma = (np.where(told, column, np.nan) for column in (seen.up_node_m, seen.sigma_up_m))
+    return drive.with_tables(detections=replace(seen, up_node_m=up, sigma_up_m=sigma))
+
+
 @pytest.mark.parametrize("sensor", ["camera", "lidar"])
-def test_what_a_known_sway_moves_is_exact_and_so_is_its_jacobian(drive, sensor):
-    nodes = (replace(drive.infrastructure.nodes[0], sensor=sensor, yaw_rad=0.4),)
+def test_what_a_known_sway_moves_is_exact_and_so_is_its_jacobian(drive, high, sensor):
+    drive = every_other_height(high) if sensor == "lidar" else drive
+    nodes = (replace(drive.infrastructure.nodes[0], yaw_rad=0.4),)
     drive = replace(drive, infrastructure=replace(drive.infrastructure, nodes=nodes))
     swaying = Swaying(drive, plan(drive, load_config()).posts, T_NS)
-    row = np.array([0, 40, 75])
+    row = np.array([0, 41, 76])
     states = 0.02 * np.random.default_rng(0).standard_normal((3, 6))
     moved, J = swaying.moved(1, row, states)
-    seen_m, post = drive.tables["detections"].p_node_m[row], drive.infrastructure.posts[0]
+    seen_m, post = drive.tables["detections"].place_node_m[row], drive.infrastructure.posts[0]
     sway = np.stack([states[:, 0], states[:, 3], -post.tip_slope_per_m * states[:, 3],
                      post.tip_slope_per_m * states[:, 0]], -1)  # fmt: skip
     still = compensated(seen_m, sway, post.height_m, sensor)
-    world_m = nodes[0].to_world(still) - nodes[0].to_world(seen_m)
-    np.testing.assert_allclose(moved, world_m, atol=1e-12)
+    world_m = nodes[0].place_to_world(still) - nodes[0].place_to_world(seen_m)
+    np.testing.assert_allclose(moved, np.nan_to_num(world_m), atol=1e-12)
+    assert (np.abs(moved[:, 2]) > 1e-9).tolist() == np.isfinite(seen_m[:, 2]).tolist()
     for k, step in enumerate(1e-6 * np.eye(6)):
         ahead, back = (swaying.moved(1, row, states + sign * step)[0] for sign in (1, -1))
         np.testing.assert_allclose((ahead - back) / 2e-6, J[:, :, k], atol=1e-6)
@@ -142,8 +158,8 @@ def test_a_tilt_beyond_the_horizon_is_followed_in_a_straight_line(drive):
 
 def test_the_native_factors_of_a_user_charge_the_residual():
     rng = np.random.default_rng(1)
-    told, z, state, J = *rng.standard_normal((2, 2)), rng.standard_normal(6), np.ones((2, 6))
-    cov = np.array([[2, 1], [1, 3.0]])
+    told, z, state, J = *rng.standard_normal((2, 3)), rng.standard_normal(6), np.ones((3, 6))
+    cov = np.array([[2, 1, 0], [1, 3.0, 0], [0, 0, 0.5]])
     model = gtsam.noiseModel.Gaussian.Covariance(cov)
     tie, row = told_factors(0, told, z, model, {post_key(1, 4): J})
     values = gtsam.Values()
@@ -156,17 +172,45 @@ def test_the_native_factors_of_a_user_charge_the_residual():
 
 @pytest.fixture(scope="module")
 def solved(drive):
+    return both_solutions(drive)
+
+
+def both_solutions(drive):
+    """By the chain and by GTSAM."""
     return [fgloc.smooth(drive, settings=[f"solver.batch={name}"]) for name in ("banded", "gtsam")]
 
 
+@pytest.fixture(scope="module", params=["heights", "every other height", "uncertain survey"])
+def solved_high(high, request):
+    """Of a LiDAR: one that tells all heights, or some, or whose place and yaw are not certain."""
+    drive = high
+    if request.param == "every other height":
+        drive = every_other_height(high)
+    if request.param == "uncertain survey":
+        (node,) = high.infrastructure.nodes
+        nodes = (replace(node, sigma_position_m=0.3, sigma_yaw_rad=0.01, bias_sigma_m=0.1),)
+        drive = replace(high, infrastructure=replace(high.infrastructure, nodes=nodes))
+    return both_solutions(drive)
+
+
 def test_gtsam_and_the_chain_find_the_same_posts_and_the_same_car(solved):
-    ours, theirs = solved
+    assert_same_solution(*solved)
+
+
+def test_they_do_so_where_a_lidar_tells_heights(solved_high):
+    assert_same_solution(*solved_high)
+
+
+def assert_same_solution(ours, theirs):
     assert ours.summary["cost"] == pytest.approx(theirs.summary["cost"], abs=0.01)
     np.testing.assert_allclose(ours.posts.p_node_m, theirs.posts.p_node_m, atol=1e-5)
     np.testing.assert_allclose(ours.posts.sigma_p_m, theirs.posts.sigma_p_m, rtol=0.01)
     np.testing.assert_allclose(ours.trajectory.p_world_m, theirs.trajectory.p_world_m, atol=2e-3)
-    nis = [one.verdicts["node_poses"].nis for one in solved]
-    np.testing.assert_allclose(*nis, rtol=0.01, atol=1e-3)
+    for source in ("node_poses", "detections"):
+        nis = [one.verdicts[source].nis for one in (ours, theirs)]
+        np.testing.assert_allclose(*nis, rtol=0.01, atol=1e-2)
+        dof = [one.verdicts[source].dof for one in (ours, theirs)]
+        np.testing.assert_array_equal(*dof)
 
 
 def test_every_row_has_its_verdict(solved, drive):
