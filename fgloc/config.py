@@ -242,7 +242,8 @@ class PostsConfig(Section):
     """Swaying posts: of a drive that has poses of nodes, or nodes on posts that see vehicles."""
 
     compensate: bool = True
-    """Follow the post of every node that sees vehicles: what the node reports depends on both."""
+    """Follow the post of every node that sees vehicles: what the node reports depends on both.
+    Without, what it tells is taken as if it stood still, heights that a tilt has moved too."""
 
     estimate_mode: bool = False
     """Seek frequency, damping and load of each post where all that tells of it is likeliest,

@@ -72,6 +72,14 @@ def rmse_m(drive: Drive, *settings: str) -> Array:
     return np.sqrt([square.mean(), *(square[rows].mean() for rows in near)])
 
 
+def post_rmse(drive: Drive, *settings: str) -> Array:
+    """Of the node's displacement in mm and of its tilt in mrad, each the length of two axes."""
+    found, truth = fgloc.smooth(drive, settings=settings).posts, drive.post_truth
+    rows = np.searchsorted(truth.t_ns, found.t_ns)
+    off = found.p_node_m - truth.p_node_m[rows], found.tilt_rad - truth.tilt_rad[rows]
+    return 1e3 * np.sqrt([(one**2).sum(-1).mean() for one in off])
+
+
 def removed_share(found: dict[str, Array], name: str) -> Array:
     """Of what sway adds to the error, how much a way of placing the car removes."""
     ignored, without = found["sway ignored"], found["no sway"]

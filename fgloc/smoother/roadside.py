@@ -62,6 +62,10 @@ def _node(model: Model, s: int, states: States, sigmas: SharedSigmas) -> dict[st
         off, sigma = states.survey[s], sigmas.survey[s]
         told["survey_off_m"] = _with_sigma(off[:2], sigma[:2])
         told["survey_off_rad"] = _with_sigma(off[2:3], sigma[2:3])
+        if (p.dof[own] == 3).any() or (
+            model.references.dof[model.references.source == s] == 3
+        ).any():
+            told["survey_off_up_m"] = _with_sigma(off[3:], sigma[3:])
     return told
 
 

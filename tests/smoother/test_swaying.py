@@ -16,7 +16,7 @@ from fgloc.errors import InputError
 from fgloc.factors.post import ROUNDING, axis_step, post_spread, post_step, whitened_steps
 from fgloc.factors.sway import compensated
 from fgloc.infrastructure import Infrastructure, Node, Post
-from fgloc.measurements import NodeDetections, NodePoses
+from fgloc.measurements import LEFT_OUT, NodeDetections, NodePoses
 from fgloc.smoother.chain import Chain
 from fgloc.smoother.guess import guess, yaw_by_turns
 from fgloc.smoother.model import Model
@@ -121,11 +121,44 @@ def test_a_microsecond_between_two_keyframes_can_be_solved():
 
 
 def every_other_height(drive):
-    """The drive with every second detection telling no height."""
+    """The drive with every second frame telling no heights."""
     seen = drive.tables["detections"]
-    told = np.arange(len(seen)) % 2 == 0
+    told = np.arange(len(seen)) % 4 < 2
     up, sigma = (np.where(told, column, np.nan) for column in (seen.up_node_m, seen.sigma_up_m))
     return drive.with_tables(detections=replace(seen, up_node_m=up, sigma_up_m=sigma))
+
+
+def test_a_row_has_the_degrees_of_freedom_that_it_tells(high):
+    mixed = every_other_height(high)
+    for mode in ("batch", "fixed-lag"):
+        judged = fgloc.smooth(mixed, mode).verdicts["detections"]
+        weighed = np.isfinite(judged.nis)
+        told = np.where(mixed.tables["detections"].has_height, 3, 2)
+        np.testing.assert_array_equal(judged.dof[weighed], told[weighed])
+        gates = [load_config().detections.gate_nis(dof) for dof in (2, 3)]
+        np.testing.assert_allclose(judged.threshold[weighed], np.array(gates)[told[weighed] - 2])
+        assert set(told[weighed]) == {2, 3}
+        mean = judged.nis[weighed] / told[weighed]
+        assert mean[judged.is_(Verdict.USED)[weighed]].mean() == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_height_holds_the_car_where_fixes_hardly_do(high):
+    flat = fgloc.make(SCENARIO, seed=5, duration_s=8.0, users=1, sensor="lidar", heights=False)
+    up_m = [fgloc.smooth(drive).trajectory.p_world_m[:, 2] for drive in (high, flat)]
+    errors = [np.sqrt(np.mean(up**2)) for up in up_m]
+    assert errors[0] < 0.06 and errors[0] < errors[1] / 3
+
+
+def test_sway_left_out_is_said_where_heights_are_told(high):
+    def told(drive, *settings):
+        events = fgloc.smooth(drive, settings=settings).events
+        return [event.text for event in events if event.kind == "post"]
+
+    (text,) = told(high, "posts.compensate=false")
+    assert text.startswith("node 'isn-1': its post is left out: heights that it tells are taken")
+    assert not told(high)
+    bare = replace(high.tables["detections"], up_node_m=LEFT_OUT, sigma_up_m=LEFT_OUT)
+    assert not told(high.with_tables(detections=bare), "posts.compensate=false")
 
 
 @pytest.mark.parametrize("sensor", ["camera", "lidar"])
@@ -134,7 +167,7 @@ def test_what_a_known_sway_moves_is_exact_and_so_is_its_jacobian(drive, high, se
     nodes = (replace(drive.infrastructure.nodes[0], yaw_rad=0.4),)
     drive = replace(drive, infrastructure=replace(drive.infrastructure, nodes=nodes))
     swaying = Swaying(drive, plan(drive, load_config()).posts, T_NS)
-    row = np.array([0, 41, 76])
+    row = np.array([0, 43, 76])
     states = 0.02 * np.random.default_rng(0).standard_normal((3, 6))
     moved, J = swaying.moved(1, row, states)
     seen_m, post = drive.tables["detections"].place_node_m[row], drive.infrastructure.posts[0]
