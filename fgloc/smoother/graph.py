@@ -13,7 +13,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, L, S, V, X
+from gtsam.symbol_shorthand import A, B, C, L, S, U, V, X
 from numpy.typing import ArrayLike
 
 from fgloc.config import SmoothConfig
@@ -234,6 +234,17 @@ class GraphModel(Model):
             values.insert(A(i), z - np.asarray(slow, float))
         if source.bias is not None:
             values.insert(C(i), np.array(slow, float))
+
+    def insert_reference(self, values: gtsam.Values, i: int, survey: Array) -> None:
+        """Put in the place of the user of row i of the references: where the node sees it by what
+        is believed of its post and its `survey` (4,), so that the loss sees what remains."""
+        found, rows = self.references, np.array([i])
+        s, z = int(found.source[i]), found.z_world_m[i]
+        z = z + (found.by_survey(rows, self.sources[s].p_world_m) @ survey)[0]
+        if s in self.swaying.of_source:
+            row = self.swaying.row(s, int(found.row[i]), int(self.reference_key[i]))
+            z = z + row.believed_m
+        values.insert(U(i), z)
 
     def insert_shared(self, values: gtsam.Values) -> None:
         """Put in the variables that all keyframes share."""

@@ -3,7 +3,8 @@
 Poses of nodes and what users tell enter when they have arrived, at the states of the instants when
 they were true. Detections of the car enter with its positions (`online_positions.py`), about the
 state that is believed here. Where a window is grown anew its first states are at rest, as far as
-the wind lets them: a post forgets faster than any window ends.
+the wind lets them: a post forgets faster than any window ends. What users tell is taken at full
+weight, whatever the loss: what the survey is off would look like their error until it is known.
 """
 
 import gtsam

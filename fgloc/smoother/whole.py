@@ -5,7 +5,7 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, L, S, U, V, X
+from gtsam.symbol_shorthand import B, C, L, S, V, X
 from numpy.typing import NDArray
 
 from fgloc.factors import imu
@@ -180,7 +180,7 @@ class Whole:
         for j in robust.holds(SOURCE, told[told < self.n]).tolist():
             model.car.insert_velocity(values, j, states.v[j])
         for i in range(self.told):
-            values.insert(U(i), model.references.told_m[i])
+            model.insert_reference(values, i, states.survey[int(model.references.source[i])])
         return values
 
     def _states(self, values: gtsam.Values, robust: Robustness, before: States) -> States:
