@@ -219,14 +219,19 @@ class GraphModel(Model):
         if new_bias:
             values.insert(B(self.bias_of[j]), state.bias)
 
-    def insert_position(self, values: gtsam.Values, i: int, slow: ArrayLike = (0, 0, 0)) -> None:
+    def insert_position(
+        self, values: gtsam.Values, i: int, slow: ArrayLike = (0, 0, 0),
+        survey: ArrayLike = (0, 0, 0, 0),
+    ) -> None:  # fmt: skip
         """Put in the variables that row i adds, where it adds any.
 
-        `slow` is about what the source's slow error (3,) is, in m: the measured point is put where
-        that says, so that the loss sees what remains.
+        `slow` is about what the source's slow error (3,) is, in m, and `survey` (4,) what its
+        survey is off: the measured point is put where they say, so that the loss sees what remains.
         """
         s = int(self.positions.source[i])
         source, z = self.sources[s], self.positions.z_world_m[i]
+        if source.surveyed:
+            z = z + detection.by_survey(z[None], source.p_world_m)[0] @ np.asarray(survey, float)
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(self.positions.row[i]), int(self.key_of[i]))
             z = z + row.believed_m

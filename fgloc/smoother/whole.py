@@ -173,7 +173,7 @@ class Whole:
             s, slow = int(model.positions.source[i]), np.zeros(3)
             if s in model.slow:
                 slow = states.slow[int(model.key_of[i]), 3 * model.slow.index(s) :][:3]
-            model.insert_position(values, i, slow)
+            model.insert_position(values, i, slow, states.survey[s])
         for j in range(self.n):
             model.swaying.insert(values, j, states.posts[j])
         told = model.car.velocities.keys
