@@ -45,8 +45,9 @@ class Swaying:
         self.watches, self._t_s = watches, elapsed_s(t_ns, int(t_ns[0]))
         self._nodes = drive.infrastructure.nodes
         seen = drive.tables.get(NodeDetections.KIND)
-        nothing = np.zeros((0, 3))
-        self._reported_m = seen.place_node_m if isinstance(seen, NodeDetections) else nothing
+        self._reported_m = np.zeros((0, 3))
+        if watches and isinstance(seen, NodeDetections):
+            self._reported_m = seen.place_node_m
         self.spans = np.array([np.searchsorted(t_ns, w.t_ns[[0, -1]]) for w in watches], int)
         self.slot = _slots(self.spans.reshape(-1, 2))
         self.slots = int(self.slot.max(initial=-1)) + 1
