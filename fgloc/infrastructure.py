@@ -13,8 +13,8 @@ from fgloc.errors import DriveError
 from fgloc.measurements import Array, freeze
 
 _LEAST = {
-    "yaw_rad": -math.inf, "sigma_position_m": 0.0, "sigma_yaw_rad": 0.0, "range_m": 0.0,
-    "bias_sigma_m": 0.0, "bias_tau_s": 1e-3,
+    "yaw_rad": -math.inf, "sigma_position_m": 0.0, "sigma_yaw_rad": 0.0, "sigma_level_rad": 0.0,
+    "range_m": 0.0, "bias_sigma_m": 0.0, "bias_tau_s": 1e-3,
 }  # fmt: skip
 
 
@@ -41,6 +41,7 @@ class Node:
     sensor            'lidar' where what it reports is rigid in space, 'camera' where it is the
                       ground seen along a ray: what a sway of the node does to it depends on that,
                       and only a LiDAR's detections may tell a height
+    sigma_level_rad   of its axes being level, turns about East and North; only heights feel it
     """
 
     name: str
@@ -52,6 +53,7 @@ class Node:
     bias_sigma_m: float = 0.0
     bias_tau_s: float = 60.0
     sensor: Literal["camera", "lidar"] = "lidar"
+    sigma_level_rad: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "p_world_m", _place(f"node {self.name!r}", self.p_world_m))

@@ -42,8 +42,8 @@ class PositionSource:
     dof            of each row at least: 3, or 2 of a node, which may tell heights or not
     settings       loss and gate
     bias           its slow error, or None
-    survey_sigmas  (4,) of the node's survey: east and north in m, yaw in rad, up in m; zeros where
-                   exact
+    survey_sigmas  (6,) of the node's survey: east and north in m, yaw in rad, up in m, turns about
+                   East and North in rad; zeros where exact
     point_sigma_m  of `p_veh_m`, each axis; 0 where known
     sways          whether the node's post is followed
     """
@@ -130,7 +130,15 @@ def position_sources(drive: Drive, config: SmoothConfig) -> tuple[PositionSource
     """GNSS, and then every node of a drive, as a configuration believes them."""
     g, d = config.gnss, config.detections
     gnss = PositionSource(
-        GNSS, GNSS, drive.rig.p_veh_ant_m, np.zeros(3), 3, g, gnss_bias(drive, g), np.zeros(4), 0.0
+        GNSS,
+        GNSS,
+        drive.rig.p_veh_ant_m,
+        np.zeros(3),
+        3,
+        g,
+        gnss_bias(drive, g),
+        np.zeros(detection.SURVEY),
+        0.0,
     )
     nodes = drive.infrastructure.nodes if DETECTIONS in drive.tables else ()
     return gnss, *(
@@ -264,8 +272,8 @@ def height_m(drive: Drive) -> float:
 def _node_source(
     drive: Drive, node: Node, config: DetectionConfig, *, sways: bool
 ) -> PositionSource:
-    place_m = node.sigma_position_m
-    survey = np.array([place_m, place_m, node.sigma_yaw_rad, place_m])
+    place_m, level_rad = node.sigma_position_m, node.sigma_level_rad
+    survey = np.array([place_m, place_m, node.sigma_yaw_rad, place_m, level_rad, level_rad])
     if survey.any():
         survey = np.maximum(survey, EXACT)
     return PositionSource(

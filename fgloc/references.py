@@ -80,10 +80,8 @@ class References:
         return cls(no, no, no, no, no, places, places, np.zeros((0, 3, 3)), no)
 
     def by_survey(self, rows: NDArray[np.int64], p_world_node_m: Array) -> Array:
-        """How what a node sees in some rows (m,) moves with what its survey is off (m, 3, 4)."""
-        J = by_survey(self.z_world_m[rows], p_world_node_m)
-        J[self.dof[rows] == 2, 2] = 0.0
-        return J
+        """How what a node sees in some rows (m,) moves with what its survey is off (m, 3, 6)."""
+        return by_survey(self.z_world_m[rows], p_world_node_m, self.dof[rows] == 3)
 
 
 def find_references(

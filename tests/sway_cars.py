@@ -10,7 +10,7 @@ import numpy as np
 
 import fgloc
 from fgloc.drive import Drive
-from fgloc.factors.sway import compensated
+from fgloc.factors.sway import compensated, reported
 from fgloc.measurements import Array
 
 SCENARIO = "khamooshi2023/sway-drive"
@@ -56,6 +56,18 @@ def taken_back(drive: Drive) -> Drive:
     up_m = np.where(seen.has_height, place_m[:, 2], np.nan)
     still = dataclasses.replace(seen, p_node_m=place_m[:, :2], up_node_m=up_m)
     return drive.with_tables(detections=still)
+
+
+def askew(drive: Drive, tilt_rad: float, sigma_level_rad: float = 0.0) -> Drive:
+    """The drive of a LiDAR that was built in with so much roll and pitch, about which it sways, and
+    that says how level it is."""
+    (node,), seen = drive.infrastructure.nodes, drive.tables["detections"]
+    turned = np.tile([0.0, 0.0, tilt_rad, tilt_rad], (len(seen), 1))
+    place_m, _, _ = reported(seen.place_node_m, turned, node.sensor)
+    said = dataclasses.replace(node, sigma_level_rad=sigma_level_rad)
+    beside = dataclasses.replace(drive.infrastructure, nodes=(said,))
+    leans = dataclasses.replace(seen, p_node_m=place_m[:, :2], up_node_m=place_m[:, 2])
+    return dataclasses.replace(drive, infrastructure=beside).with_tables(detections=leans)
 
 
 def rmse_m(drive: Drive, *settings: str) -> Array:

@@ -9,6 +9,7 @@ import fgloc
 from fgloc.config import load_config
 from fgloc.datasets.drive_folder import read_drive, write_drive
 from fgloc.errors import DriveError
+from fgloc.factors.sway import reported
 from fgloc.measurements import UserFixes
 from fgloc.node_health import node_rows
 from fgloc.references import find_references
@@ -154,6 +155,24 @@ def test_what_a_survey_is_off_in_height_is_found_too(high, mode):
     assert (row["survey_up_m"], row["sigma_survey_up_m"]) == (up, sigma)
     plain = fgloc.smooth(high, mode).posts
     np.testing.assert_allclose(result.posts.p_node_m, plain.p_node_m, atol=0.02)
+
+
+def test_a_node_that_is_not_level_is_found_out_by_its_heights(high):
+    """Built in with 5 mrad of pitch, about which it sways: 0.3 m of height at 60 m."""
+    (node,), seen = high.infrastructure.nodes, high.tables["detections"]
+    askew = np.tile([0, 0, 0, 0.005], (len(seen), 1))
+    place_m, _, _ = reported(seen.place_node_m, askew, "lidar")
+    leans = replace(seen, p_node_m=place_m[:, :2], up_node_m=place_m[:, 2])
+    said = replace(node, sigma_level_rad=0.01)
+    beside = replace(high.infrastructure, nodes=(said,))
+    drive = replace(high, infrastructure=beside).with_tables(detections=leans)
+    told = fgloc.smooth(drive).summary["nodes"]["isn-1"]["survey_off_level_rad"]
+    value, sigma = np.array(told["value"]), np.array(told["sigma"])
+    assert (sigma < 1e-3).all()
+    # Taken back by a turn about North, along the node's y axis.
+    assert (np.abs(value - [0, 0.005]) < 4 * sigma).all()
+    plain = fgloc.smooth(high).posts
+    np.testing.assert_allclose(fgloc.smooth(drive).posts.p_node_m, plain.p_node_m, atol=0.02)
 
 
 def test_users_survive_a_folder(drive, tmp_path):

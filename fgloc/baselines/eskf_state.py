@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.drive import GnssBias
+from fgloc.factors.detection import FLAT_SURVEY
 from fgloc.factors.gnss import bias_transition
 from fgloc.frames import exp_so3, skew
 from fgloc.measurements import Array
@@ -23,7 +24,7 @@ from fgloc.positions import PositionSource
 ROTATION, POSITION, VELOCITY, BIAS = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 15)
 CORE = 15
 """Errors before the slow ones."""
-PER_SOURCE = 7
+PER_SOURCE = 6
 """Slow errors that a source of positions can have."""
 
 
@@ -75,9 +76,9 @@ class Slow:
     """What varies slowly, or not at all: a stationary sigma (m,) and a time (m,) over which it is
     forgotten.
 
-    Each source of positions has seven such errors, if it has them: its slow bias, East, North and
-    up in m, and those of its survey, East and North in m, yaw in rad and up in m, which stay.
-    `active` says which of all these are unknown at all; a filter in the plane has none of the last.
+    Each source of positions has six such errors, if it has them: its slow bias, East, North and up
+    in m, and those of its survey, East and North in m and yaw in rad, which stay. `active` says
+    which of all these are unknown at all.
     """
 
     sigma: Array
@@ -91,8 +92,8 @@ class Slow:
         for source in sources:
             bias = source.bias or GnssBias(0.0, 1.0)
             axes = [bias.sigma_m] * source.dof + [0.0] * (3 - source.dof)
-            sigma += [*axes, *source.survey_sigmas[:3], 0.0]
-            tau += [bias.tau_s] * 3 + [np.inf] * 4
+            sigma += [*axes, *source.survey_sigmas[:FLAT_SURVEY]]
+            tau += [bias.tau_s] * 3 + [np.inf] * 3
         active = np.array(sigma) > 0
         return cls(np.array(sigma)[active], np.array(tau)[active], active)
 

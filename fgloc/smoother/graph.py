@@ -154,7 +154,7 @@ class GraphModel(Model):
             return [gnss.position_factor(X(j), z, self.levers[s], model)]
         by = {C(i): np.eye(3)} if source.bias is not None else {}
         if source.surveyed:
-            by[S(s)] = -detection.by_survey(z[None], source.p_world_m)[0]
+            by[S(s)] = -self._by_survey(i)
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(self.positions.row[i]), j)
             by[row.key], z = row.J, z + row.moved_m
@@ -168,11 +168,16 @@ class GraphModel(Model):
         model = noise.gaussian(found.cov_world_m2[i])
         model = noise.robust(model, source.settings.loss, source.settings.loss_width)
         if source.surveyed:
-            by[S(s)] = -detection.by_survey(z[None], source.p_world_m)[0]
+            by[S(s)] = -found.by_survey(np.array([i]), source.p_world_m)[0]
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(found.row[i]), int(self.reference_key[i]))
             by[row.key], z = row.J, z + row.moved_m
         return told_factors(i, found.told_m[i], z, model, by)
+
+    def _by_survey(self, i: int) -> Array:
+        """How the detection of row i moves with what its node's survey is off (3, 6)."""
+        p, place_m = self.positions, self.sources[int(self.positions.source[i])].p_world_m
+        return detection.by_survey(p.z_world_m[[i]], place_m, p.dof[[i]] == 3)[0]
 
     def _position_noise(self, i: int, s: int, width: float) -> Any:
         """The noise model of a row, built once where a source's covariance stays the same."""
@@ -221,17 +226,17 @@ class GraphModel(Model):
 
     def insert_position(
         self, values: gtsam.Values, i: int, slow: ArrayLike = (0, 0, 0),
-        survey: ArrayLike = (0, 0, 0, 0),
+        survey: ArrayLike = (0,) * detection.SURVEY,
     ) -> None:  # fmt: skip
         """Put in the variables that row i adds, where it adds any.
 
-        `slow` is about what the source's slow error (3,) is, in m, and `survey` (4,) what its
+        `slow` is about what the source's slow error (3,) is, in m, and `survey` (6,) what its
         survey is off: the measured point is put where they say, so that the loss sees what remains.
         """
         s = int(self.positions.source[i])
         source, z = self.sources[s], self.positions.z_world_m[i]
         if source.surveyed:
-            z = z + detection.by_survey(z[None], source.p_world_m)[0] @ np.asarray(survey, float)
+            z = z + self._by_survey(i) @ np.asarray(survey, float)
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(self.positions.row[i]), int(self.key_of[i]))
             z = z + row.believed_m
@@ -242,7 +247,7 @@ class GraphModel(Model):
 
     def insert_reference(self, values: gtsam.Values, i: int, survey: Array) -> None:
         """Put in the place of the user of row i of the references: where the node sees it by what
-        is believed of its post and its `survey` (4,), so that the loss sees what remains."""
+        is believed of its post and its `survey` (6,), so that the loss sees what remains."""
         found, rows = self.references, np.array([i])
         s, z = int(found.source[i]), found.z_world_m[i]
         z = z + (found.by_survey(rows, self.sources[s].p_world_m) @ survey)[0]
@@ -256,7 +261,7 @@ class GraphModel(Model):
         for key, s in self._lever_keys.items():
             values.insert(key, self.levers[s])
         for s in self._surveyed:
-            values.insert(S(s), np.zeros(4))
+            values.insert(S(s), np.zeros(detection.SURVEY))
         self.car.insert_shared(values)
 
     @property
@@ -272,7 +277,7 @@ class GraphModel(Model):
             factors.append(gtsam.PriorFactorPoint3(key, self.levers[s], tight))
         for s in self._surveyed:
             known = gtsam.noiseModel.Diagonal.Sigmas(self.sources[s].survey_sigmas)
-            factors.append(gtsam.PriorFactorVector(S(s), np.zeros(4), known))
+            factors.append(gtsam.PriorFactorVector(S(s), np.zeros(detection.SURVEY), known))
         return [*factors, *self.car.prior_factors()]
 
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive, ImuNoise, Noise
 from fgloc.errors import DriveError
-from fgloc.factors import gnss, imu
+from fgloc.factors import detection, gnss, imu
 from fgloc.factors.preintegration import preintegrate
 from fgloc.frames import skew
 from fgloc.measurements import Array
@@ -93,6 +93,13 @@ class Model:
     def fixed(self, first: int, stop: int) -> NDArray[np.int64]:
         """The guides at keyframes first..stop - 1."""
         return self.guides[slice(*np.searchsorted(self.key_of[self.guides], [first, stop]))]
+
+    @cached_property
+    def survey_size(self) -> int:
+        """Unknowns of a survey that is uncertain: fewer where no node tells heights."""
+        high = (self.positions.dof[self.positions.candidates] == 3).any()
+        high |= (self.references.dof == 3).any()
+        return detection.SURVEY if high else detection.FLAT_SURVEY
 
     @cached_property
     def first_place_m(self) -> Array:

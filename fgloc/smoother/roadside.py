@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.factors.detection import by_survey
+from fgloc.factors.detection import FLAT_SURVEY, SURVEY, by_survey
 from fgloc.measurements import Array
 from fgloc.positions import DETECTIONS
 from fgloc.smoother.beside import reference_errors
@@ -33,7 +33,7 @@ def roadside(model: Model, states: States, sigmas: SharedSigmas) -> dict[str, An
 def causal_states(model: Model, log: StateLog, posts: Array, survey: Mapping[int, Array]) -> States:
     """The keyframes of a log, with posts and surveys as they were found; slow errors at zero."""
     at, n = model.epoch_of, len(model)
-    off = np.zeros((len(model.sources), 4))
+    off = np.zeros((len(model.sources), SURVEY))
     for s, value in survey.items():
         off[s] = value
     zeros = np.zeros((n, 6)), np.zeros((n, 3 * len(model.slow)))
@@ -62,10 +62,9 @@ def _node(model: Model, s: int, states: States, sigmas: SharedSigmas) -> dict[st
         off, sigma = states.survey[s], sigmas.survey[s]
         told["survey_off_m"] = _with_sigma(off[:2], sigma[:2])
         told["survey_off_rad"] = _with_sigma(off[2:3], sigma[2:3])
-        if (p.dof[own] == 3).any() or (
-            model.references.dof[model.references.source == s] == 3
-        ).any():
-            told["survey_off_up_m"] = _with_sigma(off[3:], sigma[3:])
+        if model.survey_size == SURVEY:
+            told["survey_off_up_m"] = _with_sigma(off[3:4], sigma[3:4])
+            told["survey_off_level_rad"] = _with_sigma(off[4:], sigma[4:])
     return told
 
 
@@ -80,7 +79,7 @@ def _residual(model: Model, s: int, states: States, rows: NDArray[np.int64]) -> 
     if len(z) < LEAST_ROWS:
         return {}
     W = np.linalg.inv(np.linalg.cholesky(cov))
-    J = W @ by_survey(z, node)[:, :2, :3]
+    J = W @ by_survey(z, node, np.zeros(len(z), bool))[:, :2, :FLAT_SURVEY]
     e = np.einsum("nij,nj->ni", W, np.concatenate(error)[:, :2])
     fit = np.linalg.lstsq(J.reshape(-1, 3), e.ravel(), rcond=None)[0]
     names = ("residual_east_m", "residual_north_m", "residual_yaw_rad")

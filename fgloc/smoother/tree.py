@@ -7,6 +7,7 @@ from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
 import gtsam
 import numpy as np
 
+from fgloc.factors.detection import SURVEY
 from fgloc.measurements import Array
 
 Stamps = dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex]
@@ -52,7 +53,7 @@ def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2
             ("l", 3),
             ("w", 3),
             ("z", 3),
-            ("s", 4),
+            ("s", SURVEY),
             ("t", 3),
         ):
             sizes.insert((letter, np.full(size, OTHER_THRESHOLD)))

@@ -1,14 +1,15 @@
 # ruff: noqa: T201
 """Prints what sway of a node does to a car's position, and how much each way removes of it.
 
-    python tests/benchmarks/sway_cars_table.py [SEEDS] [--causal] [--only KIND]
+    python tests/benchmarks/sway_cars_table.py [SEEDS] [--causal] [--only KIND] [--level] [--cost]
 
 `khamooshi2023/sway-drive` through `fgloc.smooth`, whole drive and within 5 m of 20, 40 and 60 m
 from the node; fixes of 1 m at 10 Hz with the node's detections alone (a velocity that stays about
 the same), and with the IMU. Root mean squares over the seeds; the share is (ignored - way) /
 (ignored - no sway) of these. Kinds are a camera, a LiDAR that tells heights, and `flat`, one that
 does not; below each table stands how well the graph without poses knows the post. `--causal` takes
-the mode fixed-lag. Last, what following the post costs; `--cost` prints that alone.
+the mode fixed-lag. Last, what following the post costs; `--cost` prints that alone. `--level` prints
+what a LiDAR that is not level does to the car, with two RTK cars and no poses.
 """
 
 import argparse
@@ -20,7 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from sway_cars import LEFT, SCENARIO, drives, post_rmse, removed_share, ways
+from sway_cars import LEFT, SCENARIO, askew, drives, post_rmse, removed_share, rmse_m, ways
 
 import fgloc
 
@@ -52,6 +53,19 @@ def table(what: str, seeds: int, settings: list[str]) -> None:
             print(f"the post without poses, {name}: {mm:.1f} mm, {mrad:.2f} mrad", flush=True)
 
 
+def level(seeds: int) -> None:
+    """A LiDAR's tilt as built in, taken for none and as an unknown."""
+    for motion, kind in MOTIONS.items():
+        for tilt_rad, sigma_rad in ((0, 0), (0.001, 0), (0.004, 0), (0, 0.005), (0.004, 0.005)):
+            squares = []
+            for seed in range(seeds):
+                drive = fgloc.make(SCENARIO, seed=seed, sensor="lidar", poses=False, users=2)
+                leans = askew(drive, tilt_rad, sigma_rad)
+                squares.append(rmse_m(leans, f"motion.kind={kind}")[0] ** 2)
+            told = f"{1e3 * tilt_rad:g} mrad, said to be level to {1e3 * sigma_rad:g} mrad"
+            print(f"{motion}, {told}: {np.sqrt(np.mean(squares)):.4f} m", flush=True)
+
+
 def cost(rounds: int = 2) -> None:
     """Least processor time per keyframe, with the post's states and factors and without."""
     drive = fgloc.make(SCENARIO, seed=0, duration_s=40.0)
@@ -74,7 +88,10 @@ if __name__ == "__main__":
     parser.add_argument("--causal", action="store_true")
     parser.add_argument("--only", choices=KINDS)
     parser.add_argument("--cost", action="store_true")
+    parser.add_argument("--level", action="store_true")
     asked = parser.parse_args()
+    if asked.level:
+        sys.exit(level(asked.seeds))
     for kind in () if asked.cost else [asked.only] if asked.only else KINDS:
         table(kind, asked.seeds, ["mode=fixed-lag"] if asked.causal else [])
     cost()

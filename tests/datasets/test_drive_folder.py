@@ -128,7 +128,8 @@ def full_drive() -> Drive:
 
 def roadside_things() -> Infrastructure:
     return Infrastructure(
-        (Node("north", np.array([7.13, 62.19, 6.0]), 0.3), Node("s", np.zeros(3), -2, 0.1, 0.01)),
+        (Node("north", np.array([7.13, 62.19, 6.0]), 0.3),
+         Node("s", np.zeros(3), -2, 0.1, 0.01, sigma_level_rad=0.002)),
         (Post("s", 10.0, 1.97, 0.05, 20.1, 0.138, 250.0, 0.3),),
         (Sign("big", "0c0ffee", np.array([9.1, 2, 3]), -1.57, 0.5588, "left"),
          Sign("small", "1", np.zeros(3), 0, 0.127)),

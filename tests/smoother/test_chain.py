@@ -145,7 +145,7 @@ def test_with_what_a_node_sees(city, node, settings):
 
 
 @pytest.mark.parametrize("every", [1, 3])
-@pytest.mark.parametrize("node", [{}, {"bias_sigma_m": 0.3, "sigma_position_m": 0.2}])
+@pytest.mark.parametrize("node", [{}, {"bias_sigma_m": 0.3, "sigma_level_rad": 0.01}])
 def test_with_heights_that_a_node_tells(city, node, every):
     drive = seen_by_a_node(city(0, 20.0), **node)
     seen, truth = drive.tables["detections"], drive.truth.take(slice(0, None, 25))

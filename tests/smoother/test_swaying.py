@@ -221,7 +221,8 @@ def solved_high(high, request):
         drive = every_other_height(high)
     if request.param == "uncertain survey":
         (node,) = high.infrastructure.nodes
-        nodes = (replace(node, sigma_position_m=0.3, sigma_yaw_rad=0.01, bias_sigma_m=0.1),)
+        off = {"sigma_position_m": 0.3, "sigma_yaw_rad": 0.01, "sigma_level_rad": 0.005}
+        nodes = (replace(node, bias_sigma_m=0.1, **off),)
         drive = replace(high, infrastructure=replace(high.infrastructure, nodes=nodes))
     return both_solutions(drive)
 
