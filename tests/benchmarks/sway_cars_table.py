@@ -8,8 +8,8 @@ from the node; fixes of 1 m at 10 Hz with the node's detections alone (a velocit
 the same), and with the IMU. Root mean squares over the seeds; the share is (ignored - way) /
 (ignored - no sway) of these. Kinds are a camera, a LiDAR that tells heights, and `flat`, one that
 does not; below each table stands how well the graph without poses knows the post. `--causal` takes
-the mode fixed-lag. Last, what following the post costs; `--cost` prints that alone. `--level` prints
-what a LiDAR that is not level does to the car, with two RTK cars and no poses.
+the mode fixed-lag. Last, what following the post costs; `--cost` prints that alone. `--level` is of
+a LiDAR that is not level, with two RTK cars and no poses.
 """
 
 import argparse
