@@ -139,6 +139,30 @@ def check_values(path: Path, columns: Columns, layout: Layout) -> None:
             )
 
 
+def check_pairs(path: Path, columns: Columns, names: tuple[str, str]) -> None:
+    """Raise DriveError at the first row of which one of two columns is empty and the other not."""
+    value, sigma = names
+    alone = np.isnan(columns[value]) != np.isnan(columns[sigma])
+    if alone.any():
+        row = int(np.argmax(alone))
+        raise DriveError(
+            f"{place(path, row)}: of {value} and {sigma} one is empty; give both or neither"
+        )
+
+
+def check_positive(
+    path: Path, columns: Columns, names: tuple[str, ...], what: str = "a standard deviation"
+) -> None:
+    """Raise DriveError at the first row in which one of some columns is not above 0."""
+    for name in names:
+        bad = columns[name] <= 0
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise DriveError(
+                f"{place(path, row)}: {name} = {columns[name][row]}; {what} must be above 0"
+            )
+
+
 def check_known(path: Path, columns: Columns, name: str, have: int) -> None:
     """Raise DriveError at the first row whose number points to none of the `have` entries of
     drive.toml that are called `name`."""

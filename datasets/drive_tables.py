@@ -7,7 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.datasets.code_columns import CODES, code_columns
-from fgloc.datasets.columns import Columns, Group, Layout, check_known, place
+from fgloc.datasets.columns import Columns, Group, Layout, check_known, check_positive, place
+from fgloc.datasets.height_columns import (
+    HEIGHT,
+    SEEN_HEIGHT,
+    height_columns,
+    heights,
+    seen_heights,
+)
 from fgloc.datasets.post_columns import POSES, pose_columns
 from fgloc.datasets.trajectory_columns import (
     ENU,
@@ -75,6 +82,7 @@ LAYOUTS = {
             Group.of(*NAMES),
             Group((SEEN, SEEN_WORLD)),
             Group.of(*SEEN_COVARIANCE, required=False, may_be_empty=True),
+            Group((SEEN_HEIGHT, HEIGHT), required=False, may_be_empty=True),
         )
     ),
     "relative": Layout((*_TIME, Group.of(*NAMES[1:]), Group.of(*SEEN), Group.of(*SEEN_COVARIANCE))),
@@ -85,6 +93,7 @@ LAYOUTS = {
             Group.of("user_id"),
             Group.of(*SEEN_WORLD),
             Group((PLANE_COVARIANCE, PLANE_SIGMA)),
+            Group.of(*HEIGHT, required=False, may_be_empty=True),
         )
     ),
     "smart_codes": CODES,
@@ -130,7 +139,8 @@ def table_to_columns(table: Table) -> Columns:
         return columns | pose_columns(table)
     if isinstance(table, UserFixes):
         columns |= {"user_id": table.user_id} | unstack(SEEN_WORLD, table.p_world_m)
-        return columns | unstack(PLANE_COVARIANCE, table.cov_m2[:, *np.triu_indices(2)])
+        columns |= unstack(PLANE_COVARIANCE, table.cov_m2[:, *np.triu_indices(2)])
+        return columns | height_columns(HEIGHT, table.up_m, table.sigma_up_m)
     if isinstance(table, SmartCodeSightings):
         return columns | code_columns(table)
     if isinstance(table, Ranges):
@@ -143,7 +153,7 @@ def _detection_columns(seen: NodeDetections) -> Columns:
     columns |= unstack(SEEN, seen.p_node_m)
     if not np.isnan(seen.cov_node_m2).all():
         columns |= unstack(SEEN_COVARIANCE, seen.cov_node_m2[:, *np.triu_indices(2)])
-    return columns
+    return columns | height_columns(SEEN_HEIGHT, seen.up_node_m, seen.sigma_up_m)
 
 
 def _gnss_columns(fixes: GnssFixes) -> Columns:
@@ -190,7 +200,7 @@ def imu_from_columns(path: Path, columns: Columns) -> ImuSamples:
 def wheel_from_columns(path: Path, columns: Columns) -> WheelSpeeds:
     """Wheel speeds of a table read from `path`; DriveError where time goes back or sigma <= 0."""
     check_increasing(path, columns["t_ns"], duplicates=True)
-    _check_positive(path, columns, ("sigma_mps",))
+    check_positive(path, columns, ("sigma_mps",))
     return WheelSpeeds(*_times(columns), columns["speed_mps"], columns["sigma_mps"])
 
 
@@ -203,14 +213,14 @@ def steering_from_columns(path: Path, columns: Columns) -> SteeringAngles:
 def odometry_from_columns(path: Path, columns: Columns) -> Odometry:
     """Odometry of a table read from `path`; DriveError where time goes back or a sigma <= 0."""
     check_increasing(path, columns["t_ns"], duplicates=True)
-    _check_positive(path, columns, RATES[2:])
+    check_positive(path, columns, RATES[2:])
     return Odometry(*_times(columns), *(columns[name] for name in RATES))
 
 
 def velocity_from_columns(path: Path, columns: Columns) -> EnuVelocities:
     """Velocities of a table read from `path`; DriveError where time goes back or sigma <= 0."""
     check_increasing(path, columns["t_ns"], duplicates=True)
-    _check_positive(path, columns, ("sigma_mps",))
+    check_positive(path, columns, ("sigma_mps",))
     return EnuVelocities(*_times(columns), stack(columns, VELOCITY), columns["sigma_mps"])
 
 
@@ -219,14 +229,15 @@ def detections_from_columns(
 ) -> NodeDetections:
     """Detections of a table read from `path`, in their node's axes.
 
-    Raises DriveError naming the first row of a node that the drive does not have, or with a
-    covariance that cannot be one.
+    Raises DriveError naming the first row of a node that the drive does not have, with a covariance
+    that cannot be one, or with a height that has no sigma or is told by a camera.
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
     check_known(path, columns, "node", len(infrastructure.nodes))
     node, object_id, kind = (columns[name] for name in NAMES)
     seen, cov = _seen(columns, infrastructure), _seen_covariance(path, columns)
-    return NodeDetections(*_times(columns), node, object_id, kind, seen, cov)
+    up = seen_heights(path, columns, infrastructure)
+    return NodeDetections(*_times(columns), node, object_id, kind, seen, cov, *up)
 
 
 def relative_from_columns(path: Path, columns: Columns) -> RelativeSightings:
@@ -243,7 +254,8 @@ def relative_from_columns(path: Path, columns: Columns) -> RelativeSightings:
 def users_from_columns(path: Path, columns: Columns) -> UserFixes:
     """What other road users say of their places, of a table read from `path`.
 
-    Raises DriveError naming the first row whose covariance cannot be one.
+    Raises DriveError naming the first row whose covariance cannot be one, or whose height has no
+    sigma.
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
     if PLANE_COVARIANCE[0] in columns:
@@ -251,9 +263,10 @@ def users_from_columns(path: Path, columns: Columns) -> UserFixes:
         remedy = "give what the user states, or remove the row"
         _check_definite(path, cov, np.ones(len(cov), bool), remedy)
     else:
-        _check_positive(path, columns, PLANE_SIGMA)
+        check_positive(path, columns, PLANE_SIGMA)
         cov = stack(columns, PLANE_SIGMA)[:, :, None] ** 2 * np.eye(2)
-    return UserFixes(*_times(columns), columns["user_id"], stack(columns, SEEN_WORLD), cov)
+    places = stack(columns, SEEN_WORLD), cov
+    return UserFixes(*_times(columns), columns["user_id"], *places, *heights(path, columns, HEIGHT))
 
 
 def objects_from_columns(path: Path, columns: Columns) -> ObjectTruth:
@@ -271,8 +284,8 @@ def ranges_from_columns(path: Path, columns: Columns, infrastructure: Infrastruc
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
     check_known(path, columns, "anchor", len(infrastructure.anchors))
-    _check_positive(path, columns, RANGE[:1], "a distance")
-    _check_positive(path, columns, RANGE[1:])
+    check_positive(path, columns, RANGE[:1], "a distance")
+    check_positive(path, columns, RANGE[1:])
     return Ranges(*_times(columns), columns["anchor"], *(columns[name] for name in RANGE))
 
 
@@ -358,20 +371,8 @@ def _as_text(matrix: Array) -> str:
 def _covariance(path: Path, columns: Columns) -> Array:
     if COVARIANCE[0] in columns:
         return symmetric(stack(columns, COVARIANCE), 3)
-    _check_positive(path, columns, SIGMA)
+    check_positive(path, columns, SIGMA)
     return stack(columns, SIGMA)[:, :, None] ** 2 * np.eye(3)
-
-
-def _check_positive(
-    path: Path, columns: Columns, names: tuple[str, ...], what: str = "a standard deviation"
-) -> None:
-    for name in names:
-        bad = columns[name] <= 0
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise DriveError(
-                f"{place(path, row)}: {name} = {columns[name][row]}; {what} must be above 0"
-            )
 
 
 def _velocity(path: Path, columns: Columns, n: int) -> Array:

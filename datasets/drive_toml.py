@@ -107,6 +107,7 @@ class NodePart(Part):
     yaw_rad: float = Node.yaw_rad
     sigma_position_m: float = Field(default=Node.sigma_position_m, ge=0)
     sigma_yaw_rad: float = Field(default=Node.sigma_yaw_rad, ge=0)
+    sigma_level_rad: float = Field(default=Node.sigma_level_rad, ge=0)
     range_m: float = Field(default=Node.range_m, ge=0)
     bias_sigma_m: float = Field(default=Node.bias_sigma_m, ge=0)
     bias_tau_s: float = Field(default=Node.bias_tau_s, gt=0)

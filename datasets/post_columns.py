@@ -4,9 +4,15 @@ from pathlib import Path
 
 import numpy as np
 
-from fgloc.datasets.columns import Columns, Group, Layout, check_known, place
+from fgloc.datasets.columns import (
+    Columns,
+    Group,
+    Layout,
+    check_known,
+    check_pairs,
+    check_positive,
+)
 from fgloc.datasets.trajectory_columns import check_increasing, stack, unstack
-from fgloc.errors import DriveError
 from fgloc.infrastructure import Infrastructure
 from fgloc.measurements import NodePoses
 from fgloc.posts import PostStates
@@ -44,7 +50,7 @@ def poses_from_columns(path: Path, columns: Columns, infrastructure: Infrastruct
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
     check_known(path, columns, NODE, len(infrastructure.nodes))
-    _check_sigmas(path, columns, SIGMA)
+    check_positive(path, columns, SIGMA)
     unknown = np.full((len(columns["t_ns"]), 2), np.nan)
     tilt, sigma_tilt = unknown, unknown
     if TILT[0] in columns:
@@ -76,22 +82,6 @@ def truth_from_columns(path: Path, columns: Columns, infrastructure: Infrastruct
 
 def _check_tilts(path: Path, columns: Columns) -> None:
     """An angle comes with its sigma or not at all."""
-    for name, sigma in zip(TILT, SIGMA_TILT, strict=True):
-        alone = np.isnan(columns[name]) != np.isnan(columns[sigma])
-        if alone.any():
-            row = int(np.argmax(alone))
-            raise DriveError(
-                f"{place(path, row)}: of {name} and {sigma} one is empty; give both or neither"
-            )
-    _check_sigmas(path, columns, SIGMA_TILT)
-
-
-def _check_sigmas(path: Path, columns: Columns, names: tuple[str, ...]) -> None:
-    for name in names:
-        bad = columns[name] <= 0
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise DriveError(
-                f"{place(path, row)}: {name} = {columns[name][row]}; "
-                "a standard deviation must be above 0"
-            )
+    for names in zip(TILT, SIGMA_TILT, strict=True):
+        check_pairs(path, columns, names)
+    check_positive(path, columns, SIGMA_TILT)

@@ -71,7 +71,7 @@ class DetectionConfig(Gated):
     loss: Literal["none", "huber", "cauchy"] = "huber"
     loss_width: float = Field(default=3.0, gt=0)
     """Whitened norm at which the loss leaves the parabola; 3.0 holds 99 % of two-dimensional
-    Gaussian errors."""
+    Gaussian errors, and 97 % of those with a height."""
     gate_probability: float = Field(default=0.999, gt=0, le=1)
     """A candidate is not the car where its NIS exceeds this quantile of chi-square, times the slack
     squared."""
@@ -242,7 +242,8 @@ class PostsConfig(Section):
     """Swaying posts: of a drive that has poses of nodes, or nodes on posts that see vehicles."""
 
     compensate: bool = True
-    """Follow the post of every node that sees vehicles: what the node reports depends on both."""
+    """Follow the post of every node that sees vehicles: what the node reports depends on both.
+    Without, what it tells is taken as if it stood still, heights that a tilt has moved too."""
 
     estimate_mode: bool = False
     """Seek frequency, damping and load of each post where all that tells of it is likeliest,

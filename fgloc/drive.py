@@ -9,11 +9,12 @@ import numpy as np
 
 from fgloc.errors import DriveError
 from fgloc.frames import Origin, is_rotation
-from fgloc.infrastructure import Infrastructure
+from fgloc.infrastructure import NO_HEIGHT, Infrastructure
 from fgloc.measurements import (
     Array,
     GnssFixes,
     ImuSamples,
+    NodeDetections,
     NodePoses,
     ObjectTruth,
     Table,
@@ -188,6 +189,7 @@ class Drive:
             for what in NUMBERED:
                 if table is not None and hasattr(table, what):
                     self._check_numbers(table, what)
+        self._check_heights()
 
     def _check_numbers(self, table: Table, what: str) -> None:
         """Every row is of a node, sign or anchor that the infrastructure has."""
@@ -198,6 +200,19 @@ class Drive:
             raise DriveError(
                 f"drive {self.name!r}: {table.KIND} row {row}: {what} = {numbers[row]}, but the "
                 f"drive has {have} {what}s, counted from 0; add it as [[{what}]] or remove the row"
+            )
+
+    def _check_heights(self) -> None:
+        """No camera tells a height."""
+        seen = self.tables.get(NodeDetections.KIND)
+        if not isinstance(seen, NodeDetections):
+            return
+        row = self.infrastructure.telling_height(seen.node, seen.has_height)
+        if row is not None:
+            name = self.infrastructure.nodes[int(seen.node[row])].name
+            raise DriveError(
+                f"drive {self.name!r}: detections row {row}: up_node_m = {seen.up_node_m[row]} of "
+                f"node {name!r}: {NO_HEIGHT}"
             )
 
     @property

@@ -7,14 +7,22 @@ from dataclasses import dataclass, field, fields
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fgloc.errors import DriveError
 from fgloc.measurements import Array, freeze
 
 _LEAST = {
-    "yaw_rad": -math.inf, "sigma_position_m": 0.0, "sigma_yaw_rad": 0.0, "range_m": 0.0,
-    "bias_sigma_m": 0.0, "bias_tau_s": 1e-3,
+    "yaw_rad": -math.inf, "sigma_position_m": 0.0, "sigma_yaw_rad": 0.0, "sigma_level_rad": 0.0,
+    "range_m": 0.0, "bias_sigma_m": 0.0, "bias_tau_s": 1e-3,
 }  # fmt: skip
+
+
+NO_HEIGHT = (
+    "a camera sees the ground along a ray and tells no height; leave the height out, or say of the "
+    'node that its sensor is a "lidar"'
+)
+"""What is wrong where a camera's detection comes with a height, and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +39,9 @@ class Node:
     bias_sigma_m      of a slowly varying error of its positions, each axis; 0 is none
     bias_tau_s        over which that error forgets itself (first-order Gauss-Markov)
     sensor            'lidar' where what it reports is rigid in space, 'camera' where it is the
-                      ground seen along a ray: what a sway of the node does to it depends on that
+                      ground seen along a ray: what a sway of the node does to it depends on that,
+                      and only a LiDAR's detections may tell a height
+    sigma_level_rad   of its axes being level, turns about East and North; only heights feel it
     """
 
     name: str
@@ -43,6 +53,7 @@ class Node:
     bias_sigma_m: float = 0.0
     bias_tau_s: float = 60.0
     sensor: Literal["camera", "lidar"] = "lidar"
+    sigma_level_rad: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "p_world_m", _place(f"node {self.name!r}", self.p_world_m))
@@ -63,6 +74,11 @@ class Node:
     def to_world(self, p_node_m: Array) -> Array:
         """Positions (N, 2) East and North in m of points (N, 2) in the node's axes."""
         return p_node_m @ self.R_world_node.T + self.p_world_m[:2]
+
+    def place_to_world(self, place_node_m: Array) -> Array:
+        """Places (N, 3) East, North and up in m of points (N, 3) in the node's axes."""
+        up_m = self.p_world_m[2] + place_node_m[:, 2]
+        return np.column_stack([self.to_world(place_node_m[:, :2]), up_m])
 
     def from_world(self, p_world_m: Array) -> Array:
         """Points (N, 2) in the node's axes, m, of positions (N, 2) East and North."""
@@ -184,6 +200,13 @@ class Infrastructure:
         """The post that carries a node, given by its number; None where it does not sway."""
         name = self.nodes[node].name
         return next((post for post in self.posts if post.node == name), None)
+
+    def telling_height(self, node: NDArray[np.int64], told: NDArray[np.bool_]) -> int | None:
+        """The first of some detections (N,) that tell a height though their node is a camera."""
+        camera = np.array([one.sensor == "camera" for one in self.nodes], bool)
+        wrong = np.flatnonzero(told)
+        wrong = wrong[camera[node[wrong]]]
+        return int(wrong[0]) if len(wrong) else None
 
     def __post_init__(self) -> None:
         for one in fields(self):

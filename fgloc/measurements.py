@@ -4,7 +4,7 @@ Every table has `t_ns` (N,), when a measurement was true, and `received_ns` (N,)
 Rows are in the order of `t_ns` and named by their index, counted from 0.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -60,18 +60,20 @@ class Table:
     OPTIONAL: ClassVar[frozenset[str]] = frozenset()  # columns with NaN where nothing was told
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            column = getattr(self, field.name)
-            if field.name in ("t_ns", "received_ns"):
-                column = freeze_ns(f"{self.KIND}.{field.name}", column, DriveError)
+        for one in fields(self):
+            column = getattr(self, one.name)
+            expected = (len(self.t_ns), *self.SHAPES.get(one.name, ()))
+            if one.name in ("t_ns", "received_ns"):
+                column = freeze_ns(f"{self.KIND}.{one.name}", column, DriveError)
+            elif column is LEFT_OUT:
+                column = freeze(np.full(expected, np.nan))
             else:
-                column = freeze(column, np.int64 if field.name in self.WHOLE else np.float64)
-            expected = (len(self.t_ns), *self.SHAPES.get(field.name, ()))
+                column = freeze(column, np.int64 if one.name in self.WHOLE else np.float64)
             if column.shape != expected:
                 raise DriveError(
-                    f"{self.KIND}.{field.name} has shape {column.shape}, expected {expected}"
+                    f"{self.KIND}.{one.name} has shape {column.shape}, expected {expected}"
                 )
-            object.__setattr__(self, field.name, column)
+            object.__setattr__(self, one.name, column)
         back = np.flatnonzero(self.t_ns[1:] < self.t_ns[:-1])  # a difference could overflow
         if len(back):
             row = int(back[0]) + 1
@@ -96,6 +98,10 @@ class Table:
         )  # fmt: skip
 
 
+LEFT_OUT: Array = freeze(np.zeros(0))
+"""What stands for an optional column that nobody gave: it reads as NaN in every row."""
+
+
 def check_symmetric(kind: str, cov_m2: Array) -> None:
     """Raise DriveError at the first of finite covariances (N, m, m) that is not symmetric: solvers
     read one triangle alone."""
@@ -109,6 +115,19 @@ def check_symmetric(kind: str, cov_m2: Array) -> None:
         raise DriveError(
             f"{kind} row {row}: the covariance {cov[row].tolist()} m^2 is not symmetric; write "
             "each covariance of two axes twice, at both places"
+        )
+
+
+def check_heights(kind: str, up_m: Array, sigma_up_m: Array) -> None:
+    """Raise DriveError at the first of heights (N,) that is not told as it should be: finite with a
+    sigma above 0, or NaN for both."""
+    told = np.isfinite(up_m) & np.isfinite(sigma_up_m) & (sigma_up_m > 0)
+    faulty = np.flatnonzero(~told & ~(np.isnan(up_m) & np.isnan(sigma_up_m)))
+    if len(faulty):
+        row = int(faulty[0])
+        raise DriveError(
+            f"{kind} row {row}: height {up_m[row]} m with a sigma of {sigma_up_m[row]} m; give a "
+            "finite height with a sigma above 0, or NaN for both"
         )
 
 
@@ -212,6 +231,13 @@ class NodeDetections(Table):
     kind          (N,) `UNKNOWN`, `VEHICLE` or `PEDESTRIAN`
     p_node_m      (N, 2) position along the node's level axes, m from the node
     cov_node_m2   (N, 2, 2) its covariance in these axes, NaN where the node states none
+    up_node_m     (N,) height of the box's centre over the node, negative below it, m; NaN where
+                  the node tells none
+    sigma_up_m    (N,) its standard deviation; it errs apart from the position
+
+    The graph of a car takes heights where they are told; all other methods, association before
+    anything is solved and the graph of several road users take the position seen from above alone.
+    Raises DriveError where a height comes without a sigma above 0, or a sigma without a height.
     """
 
     node: NDArray[np.int64]
@@ -219,13 +245,30 @@ class NodeDetections(Table):
     kind: NDArray[np.int64]
     p_node_m: Array
     cov_node_m2: Array
+    up_node_m: Array = field(default_factory=lambda: LEFT_OUT)
+    sigma_up_m: Array = field(default_factory=lambda: LEFT_OUT)
 
     KIND = "detections"
     WHOLE = frozenset({"node", "object_id", "kind"})
-    OPTIONAL = frozenset({"cov_node_m2"})
+    OPTIONAL = frozenset({"cov_node_m2", "up_node_m", "sigma_up_m"})
     SHAPES: ClassVar = {
         "node": (), "object_id": (), "kind": (), "p_node_m": (2,), "cov_node_m2": (2, 2),
+        "up_node_m": (), "sigma_up_m": (),
     }  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_heights(self.KIND, self.up_node_m, self.sigma_up_m)
+
+    @property
+    def has_height(self) -> NDArray[np.bool_]:
+        """(N,) of which detections the node tells the height."""
+        return np.isfinite(self.up_node_m)
+
+    @property
+    def place_node_m(self) -> Array:
+        """(N, 3) position and height along the node's axes; NaN for a height that is not told."""
+        return np.column_stack([self.p_node_m, self.up_node_m])
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,22 +358,32 @@ class NodePoses(Table):
 class UserFixes(Table):
     """Where other road users say that they are, as they broadcast it: the point that nodes see.
 
-    user_id    (N,) number of the road user; nodes have numbers of their own
-    p_world_m  (N, 2) its place, East and North, m
-    cov_m2     (N, 2, 2) its covariance
+    user_id     (N,) number of the road user; nodes have numbers of their own
+    p_world_m   (N, 2) its place, East and North, m
+    cov_m2      (N, 2, 2) its covariance
+    up_m        (N,) height of that point, m; NaN where the user tells none
+    sigma_up_m  (N,) its standard deviation; it errs apart from the place
+
+    Raises DriveError where a height comes without a sigma above 0, or a sigma without a height.
     """
 
     user_id: NDArray[np.int64]
     p_world_m: Array
     cov_m2: Array
+    up_m: Array = field(default_factory=lambda: LEFT_OUT)
+    sigma_up_m: Array = field(default_factory=lambda: LEFT_OUT)
 
     KIND = "users"
     WHOLE = frozenset({"user_id"})
-    SHAPES: ClassVar = {"user_id": (), "p_world_m": (2,), "cov_m2": (2, 2)}
+    OPTIONAL = frozenset({"up_m", "sigma_up_m"})
+    SHAPES: ClassVar = {
+        "user_id": (), "p_world_m": (2,), "cov_m2": (2, 2), "up_m": (), "sigma_up_m": (),
+    }  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_symmetric(self.KIND, self.cov_m2)
+        check_heights(self.KIND, self.up_m, self.sigma_up_m)
 
 
 @dataclass(frozen=True, eq=False)

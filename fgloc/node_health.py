@@ -22,13 +22,15 @@ COLUMNS = {
     "clock_late_s": "how late its stamps are, where that is estimated or set",
     "frames": "frames with a candidate for the car",
     "car_seen": "frames from which the car was taken",
-    "nis_mean": "of these; 2 where the node claims what it holds",
+    "nis_mean": "of these; 2, or 3 with heights, where the node claims what it holds",
     "survey_east_m": "estimated error of the survey, with a sigma, where the drive says it has one",
     "survey_north_m": "the same",
     "survey_yaw_rad": "the same",
+    "survey_up_m": "the same, where the node tells heights",
     "sigma_survey_east_m": "",
     "sigma_survey_north_m": "",
     "sigma_survey_yaw_rad": "",
+    "sigma_survey_up_m": "",
     "residual_east_m": "shift and turn of the node that would fit what it saw still better",
     "residual_north_m": "the same",
     "residual_yaw_rad": "the same",
@@ -77,11 +79,11 @@ def _arrived(drive: Drive, node: int, summary: Mapping[str, Any]) -> dict[str, A
 def _found(name: str, summary: Mapping[str, Any]) -> dict[str, Any]:
     """What a run found of the node: what it saw, its survey, its slow error."""
     told = dict(summary.get("nodes", {}).get(name, {}))
-    off, turned = told.pop("survey_off_m", None), told.pop("survey_off_rad", None)
-    if off and turned:
-        for prefix, key in (("", "value"), ("sigma_", "sigma")):
-            names = [f"{prefix}survey_{part}" for part in ("east_m", "north_m", "yaw_rad")]
-            told |= dict(zip(names, [*off[key], *turned[key]], strict=True))
+    off = [told.pop(f"survey_off_{part}", None) for part in ("m", "rad", "up_m")]
+    for prefix, key in (("", "value"), ("sigma_", "sigma")):
+        values = [value for one in off if one for value in one[key]]
+        names = [f"{prefix}survey_{part}" for part in ("east_m", "north_m", "yaw_rad", "up_m")]
+        told |= dict(zip(names, values, strict=False))
     return {key: value for key, value in told.items() if key in COLUMNS}
 
 

@@ -1,8 +1,8 @@
 """Measured positions of points of the vehicle, from whatever source.
 
 GNSS measures where the antenna is; a roadside node where the centre of the vehicle's box is, but
-among the objects that it sees it does not say which is the vehicle: its rows are candidates. What
-has no height to tell gets one with a sigma that leaves the height free.
+among the objects that it sees it does not say which is the vehicle: its rows are candidates. A row
+that has no height to tell gets one with a sigma that leaves the height free.
 """
 
 from dataclasses import dataclass
@@ -39,10 +39,11 @@ class PositionSource:
     table          whose rows they are, and whose verdicts
     p_veh_m        (3,) the point of the vehicle that is measured
     p_world_m      (3,) where the sensor stands, of a node
-    dof            3, or 2 where the height is not measured
+    dof            of each row at least: 3, or 2 of a node, which may tell heights or not
     settings       loss and gate
     bias           its slow error, or None
-    survey_sigmas  (3,) of the node's survey: east and north in m, yaw in rad; zeros where exact
+    survey_sigmas  (6,) of the node's survey: east and north in m, yaw in rad, up in m, turns about
+                   East and North in rad; zeros where exact
     point_sigma_m  of `p_veh_m`, each axis; 0 where known
     sways          whether the node's post is followed
     """
@@ -60,7 +61,7 @@ class PositionSource:
 
     @property
     def gate_nis(self) -> float:
-        """NIS above which a row is gated."""
+        """NIS above which what all rows measure is gated."""
         return self.settings.gate_nis(self.dof)
 
     @property
@@ -84,6 +85,7 @@ class Positions:
     frame        (n,) the same for candidates that exclude each other
     object_id    (n,) the number that a node gave; -1 for fixes
     z_world_m    (n, 3) ENU m, with cov_world_m2 (n, 3, 3) as stated
+    dof          (n,) 3, or 2 where the height is not measured
     candidates   (n,) bool: may be of another object
     """
 
@@ -95,6 +97,7 @@ class Positions:
     object_id: NDArray[np.int64]
     z_world_m: Array
     cov_world_m2: Array
+    dof: NDArray[np.int64]
     candidates: NDArray[np.bool_]
 
     def __len__(self) -> int:
@@ -127,7 +130,15 @@ def position_sources(drive: Drive, config: SmoothConfig) -> tuple[PositionSource
     """GNSS, and then every node of a drive, as a configuration believes them."""
     g, d = config.gnss, config.detections
     gnss = PositionSource(
-        GNSS, GNSS, drive.rig.p_veh_ant_m, np.zeros(3), 3, g, gnss_bias(drive, g), np.zeros(3), 0.0
+        GNSS,
+        GNSS,
+        drive.rig.p_veh_ant_m,
+        np.zeros(3),
+        3,
+        g,
+        gnss_bias(drive, g),
+        np.zeros(detection.SURVEY),
+        0.0,
     )
     nodes = drive.infrastructure.nodes if DETECTIONS in drive.tables else ()
     return gnss, *(
@@ -149,7 +160,8 @@ def _fixes(
     n = len(rows)
     return Positions(
         fixes.t_ns[rows], fixes.received_ns[rows], np.zeros(n, np.int64), rows, np.arange(n),
-        np.full(n, -1), fixes.p_world_ant_m[rows], fixes.cov_world_m2[rows], np.zeros(n, bool),
+        np.full(n, -1), fixes.p_world_ant_m[rows], fixes.cov_world_m2[rows], np.full(n, 3),
+        np.zeros(n, bool),
     )  # fmt: skip
 
 
@@ -228,15 +240,17 @@ def _detections(
     drive: Drive, seen: NodeDetections, rows: NDArray[np.int64], config: DetectionConfig
 ) -> Positions:
     seen, up_m = seen.take(rows), height_m(drive)
-    z = np.column_stack([world_positions(drive, seen), np.full(len(rows), up_m)])
+    told = seen.has_height
+    z = np.column_stack([world_positions(drive, seen), np.where(told, seen.up_node_m, up_m)])
     cov = np.zeros((len(rows), 3, 3))
-    cov[:, 2, 2] = FREE_UP_M**2
+    cov[:, 2, 2] = np.where(told, seen.sigma_up_m, FREE_UP_M) ** 2
     for i, node in enumerate(drive.infrastructure.nodes):
         own = seen.node == i
         cov[own, :2, :2] = horizontal_cov_m2(node, seen.take(own), config, up_m)
+        z[own & told, 2] += node.p_world_m[2]
     return Positions(
         seen.t_ns, seen.received_ns, 1 + seen.node, rows, numbered(seen.t_ns, seen.node),
-        seen.object_id, z, cov, np.ones(len(rows), bool),
+        seen.object_id, z, cov, 2 + told, np.ones(len(rows), bool),
     )  # fmt: skip
 
 
@@ -258,7 +272,8 @@ def height_m(drive: Drive) -> float:
 def _node_source(
     drive: Drive, node: Node, config: DetectionConfig, *, sways: bool
 ) -> PositionSource:
-    survey = np.array([node.sigma_position_m, node.sigma_position_m, node.sigma_yaw_rad])
+    place_m, level_rad = node.sigma_position_m, node.sigma_level_rad
+    survey = np.array([place_m, place_m, node.sigma_yaw_rad, place_m, level_rad, level_rad])
     if survey.any():
         survey = np.maximum(survey, EXACT)
     return PositionSource(

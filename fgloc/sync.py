@@ -129,7 +129,7 @@ def plan(drive: Drive, config: SmoothConfig) -> Plan:
         positions,
         held,
         verdicts,
-        (*_carried(motion, t_ns), *_gap_events(gaps, motion)),
+        (*_carried(motion, t_ns), *_gap_events(gaps, motion), *_tilted(drive, config, positions)),
         references,
         posts,
     )
@@ -218,6 +218,18 @@ def _carried(motion: Motion, t_ns: Instants) -> tuple[Event, ...]:
     if not motion.is_made_up:
         return ()
     return (Event(int(t_ns[0]), "motion", f"no IMU in use: states are carried by {motion.kind}"),)
+
+
+def _tilted(drive: Drive, config: SmoothConfig, positions: Positions) -> tuple[Event, ...]:
+    """Heights that a swaying node tells are worth a word where its tilt is not followed."""
+    if config.posts.compensate:
+        return ()
+    high = positions.source[positions.candidates & (positions.dof == 3)] - 1
+    names = [drive.infrastructure.nodes[i].name for i in np.unique(high).tolist()
+             if drive.infrastructure.post_of(i)]  # fmt: skip
+    text = "its post is left out: heights that it tells are taken as if it stood level"
+    start_ns = int(positions.t_ns[0])
+    return tuple(Event(start_ns, "post", f"node {name!r}: {text}") for name in names)
 
 
 def _gap_events(gaps: NDArray[np.int64], motion: Motion) -> tuple[Event, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 import fgloc
 from fgloc.drive import Drive
-from fgloc.factors.sway import compensated
+from fgloc.factors.sway import compensated, reported
 from fgloc.measurements import Array
 
 SCENARIO = "khamooshi2023/sway-drive"
@@ -18,13 +18,17 @@ RANGES_M, WIDTH_M = (20.0, 40.0, 60.0), 5.0
 LEFT = "posts.compensate=false"
 
 
-def drives(seed: int, sensor: str, duration_s: float = 84.0) -> dict[str, Drive]:
+def drives(
+    seed: int, sensor: str, duration_s: float = 84.0, *, heights: bool = True
+) -> dict[str, Drive]:
     """The drive of a seed with poses of the node, without sway, without poses, and without poses
-    but with two more cars that have RTK."""
+    but with two more cars that have RTK; a LiDAR tells heights or does not."""
     made = {"poses": {}, "still": {"sways": False}, "bare": {"poses": False},
             "users": {"poses": False, "users": 2}}  # fmt: skip
     return {
-        name: fgloc.make(SCENARIO, seed=seed, sensor=sensor, duration_s=duration_s, **how)
+        name: fgloc.make(
+            SCENARIO, seed=seed, sensor=sensor, duration_s=duration_s, heights=heights, **how
+        )
         for name, how in made.items()
     }
 
@@ -48,8 +52,22 @@ def taken_back(drive: Drive) -> Drive:
     assert np.array_equal(posts.t_ns, seen.t_ns)
     node, post = drive.infrastructure.nodes[0], drive.infrastructure.posts[0]
     sway = np.concatenate([posts.p_node_m, posts.tilt_rad], -1)
-    p_m = compensated(seen.p_node_m, sway, post.height_m, node.sensor)
-    return drive.with_tables(detections=dataclasses.replace(seen, p_node_m=p_m))
+    place_m = compensated(seen.place_node_m, sway, post.height_m, node.sensor)
+    up_m = np.where(seen.has_height, place_m[:, 2], np.nan)
+    still = dataclasses.replace(seen, p_node_m=place_m[:, :2], up_node_m=up_m)
+    return drive.with_tables(detections=still)
+
+
+def askew(drive: Drive, tilt_rad: float, sigma_level_rad: float = 0.0) -> Drive:
+    """The drive of a LiDAR that was built in with so much roll and pitch, about which it sways, and
+    that says how level it is."""
+    (node,), seen = drive.infrastructure.nodes, drive.tables["detections"]
+    turned = np.tile([0.0, 0.0, tilt_rad, tilt_rad], (len(seen), 1))
+    place_m, _, _ = reported(seen.place_node_m, turned, node.sensor)
+    said = dataclasses.replace(node, sigma_level_rad=sigma_level_rad)
+    beside = dataclasses.replace(drive.infrastructure, nodes=(said,))
+    leans = dataclasses.replace(seen, p_node_m=place_m[:, :2], up_node_m=place_m[:, 2])
+    return dataclasses.replace(drive, infrastructure=beside).with_tables(detections=leans)
 
 
 def rmse_m(drive: Drive, *settings: str) -> Array:
@@ -64,6 +82,14 @@ def rmse_m(drive: Drive, *settings: str) -> Array:
     away_m = np.linalg.norm(true_m - drive.infrastructure.nodes[0].p_world_m[:2], axis=-1)
     near = [np.abs(away_m - at_m) < WIDTH_M for at_m in RANGES_M]
     return np.sqrt([square.mean(), *(square[rows].mean() for rows in near)])
+
+
+def post_rmse(drive: Drive, *settings: str) -> Array:
+    """Of the node's displacement in mm and of its tilt in mrad, each the length of two axes."""
+    found, truth = fgloc.smooth(drive, settings=settings).posts, drive.post_truth
+    rows = np.searchsorted(truth.t_ns, found.t_ns)
+    off = found.p_node_m - truth.p_node_m[rows], found.tilt_rad - truth.tilt_rad[rows]
+    return 1e3 * np.sqrt([(one**2).sum(-1).mean() for one in off])
 
 
 def removed_share(found: dict[str, Array], name: str) -> Array:

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from sway_cars import LEFT, SCENARIO, drives, removed_share, rmse_m, ways
+from sway_cars import LEFT, SCENARIO, drives, post_rmse, removed_share, rmse_m, ways
 
 import fgloc
 
@@ -34,6 +34,18 @@ def test_two_cars_with_rtk_remove_half_without_any_pose(found):
     share = removed_share(found, "graph without poses, two RTK cars")
     assert share[0] > 0.5 and share[3] > 0.5
     assert found["graph without poses, two RTK cars"][0] < found["graph without poses"][0]
+
+
+def test_a_lidar_shows_the_sway_by_its_heights():
+    """Without poses, by two cars with RTK: the error that sway adds, and the post itself."""
+    found, posts = [], []
+    for heights in (True, False):
+        of = drives(12, "lidar", duration_s=30.0, heights=heights)
+        ignored, still = rmse_m(of["poses"], LEFT)[0], rmse_m(of["still"], LEFT)[0]
+        found.append((ignored - rmse_m(of["users"])[0]) / (ignored - still))
+        posts.append(post_rmse(of["users"]))
+    assert found[0] > 0.5
+    assert (posts[0] < posts[1] / 2).all()
 
 
 def test_where_nothing_sways_the_posts_states_cost_little(of):

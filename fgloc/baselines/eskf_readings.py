@@ -15,7 +15,7 @@ from fgloc.association import Witness
 from fgloc.baselines.eskf_state import CORE, PER_SOURCE, Slow, State
 from fgloc.config import GnssConfig
 from fgloc.factors import noise
-from fgloc.factors.detection import by_survey
+from fgloc.factors.detection import FLAT_SURVEY, by_survey
 from fgloc.measurements import Array
 from fgloc.positions import Positions, PositionSource
 from fgloc.result import Event
@@ -80,7 +80,8 @@ class Readings:
         by_slow = np.zeros((3, PER_SOURCE * len(self._sources)))
         by_slow[:, PER_SOURCE * s : PER_SOURCE * s + 3] = np.eye(3)
         if self._sources[s].surveyed:
-            survey = by_survey(p.z_world_m[row : row + 1], self._sources[s].p_world_m)[0]
+            z, flat = p.z_world_m[row : row + 1], np.zeros(1, bool)
+            survey = by_survey(z, self._sources[s].p_world_m, flat)[0, :, :FLAT_SURVEY]
             by_slow[:, PER_SOURCE * s + 3 : PER_SOURCE * (s + 1)] = -survey
         H[:, CORE:] = by_slow[:, self._slow.active]
         dof = self._sources[s].dof

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.drive import GnssBias
+from fgloc.factors.detection import FLAT_SURVEY
 from fgloc.factors.gnss import bias_transition
 from fgloc.frames import exp_so3, skew
 from fgloc.measurements import Array
@@ -91,7 +92,7 @@ class Slow:
         for source in sources:
             bias = source.bias or GnssBias(0.0, 1.0)
             axes = [bias.sigma_m] * source.dof + [0.0] * (3 - source.dof)
-            sigma += [*axes, *source.survey_sigmas]
+            sigma += [*axes, *source.survey_sigmas[:FLAT_SURVEY]]
             tau += [bias.tau_s] * 3 + [np.inf] * 3
         active = np.array(sigma) > 0
         return cls(np.array(sigma)[active], np.array(tau)[active], active)

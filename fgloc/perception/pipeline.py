@@ -257,7 +257,8 @@ class Pipeline:
 
 
 def _table(seen: Sequence[Seen]) -> NodeDetections:
-    """The frames' objects as detections of node 0."""
+    """The frames' objects as detections of node 0, without heights: cuboids are put on the ground
+    of the survey, so that theirs would tell of that and of no tilt."""
     counts = [len(frame.objects) for frame in seen]
     t_ns, received_ns = (
         np.repeat(np.array(stamps, np.int64), counts)

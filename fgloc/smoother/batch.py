@@ -206,7 +206,11 @@ def _gated(model: Model, nis: Array, limits: Array) -> NDArray[np.bool_]:
     """What is left out (rows,): what does not fit, and of the candidates all but the car."""
     p, gated = model.positions, nis > limits
     own = np.flatnonzero(p.candidates)
-    gated[own] = ~nearest(p.frame[own], p.source[own], p.object_id[own], nis[own], limits[own])
+    # A height that is told must not make a candidate look further away: less what it adds in mean.
+    extra = p.dof[own] - 2
+    gated[own] = ~nearest(
+        p.frame[own], p.source[own], p.object_id[own], nis[own] - extra, limits[own] - extra
+    )
     return gated
 
 
@@ -223,7 +227,7 @@ def _followed(
         elapsed_s(p.t_ns[own], int(model.t_ns[0])), p.frame[own],
         np.where(p.object_id[own] < 0, -1, numbered(p.source[own], p.object_id[own])),
         position_errors(model, states, own)[:, :2], P[order][plane], model.cov_m2[own][plane],
-        drift.tau_s if drift else STEADY_S, model.gate_nis[own],
+        drift.tau_s if drift else STEADY_S, model.gate_in_plane[own],
     ))  # fmt: skip
     return chosen
 
@@ -329,14 +333,13 @@ def _weights(model: Model, norm: Array, fix_width: float) -> Array:
 def _judge(model: Model, robust: Robustness, told: LeftOut, limits: Array) -> None:
     """Write the verdicts on the positions that had a keyframe."""
     p, nis, weight = model.positions, told.nis, told.weight
-    dof = np.array([source.dof for source in model.sources])[p.source]
     for table, among in ((GNSS, ~p.candidates), (DETECTIONS, p.candidates)):
         if not among.any():
             continue
         verdicts, own = model.plan.verdicts[table], np.flatnonzero(among)
         rows = p.row[own]
         verdicts.nis[rows], verdicts.dof[rows], verdicts.threshold[rows] = (
-            nis[own], dof[own], limits[own])  # fmt: skip
+            nis[own], p.dof[own], limits[own])  # fmt: skip
         verdicts.set(rows, Verdict.USED)
         for i in own[(weight[own] < 1) & ~robust.gated[own]].tolist():
             loss = model.sources[int(p.source[i])].settings.loss

@@ -11,7 +11,7 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.factors import detection, gnss
+from fgloc.factors import gnss
 from fgloc.measurements import Array
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import States
@@ -26,7 +26,7 @@ class Beside:
         self.model, self.n, self._border, self._width = model, n, border, width
         self._first = width - model.swaying.width
         self._told = int(np.searchsorted(model.reference_key, n))
-        cov = model.references.cov_world_m2[: self._told] + gnss.TIE_SIGMA_M**2 * np.eye(2)
+        cov = model.references.cov_world_m2[: self._told] + gnss.TIE_SIGMA_M**2 * np.eye(3)
         self._whiten = whitening(model, cov, model.reference_key[: self._told])
 
     def of(self, model: Model) -> "Beside":
@@ -53,7 +53,7 @@ class Beside:
         k = swaying.of_source[s]
         _, J = swaying.moved(s, row, swaying.states(states.posts, keys, k))
         own = self._first + swaying.at(int(swaying.slot[k]))
-        return -np.pad(J, ((0, 0), (0, 1), (0, 0))), own
+        return -J, own
 
     def references(self, states: States, first: int, stop: int) -> Iterator[Term]:
         """What nodes see of users whose places are known, at keyframes first..stop - 1."""
@@ -73,9 +73,9 @@ class Beside:
         parts, at = [], POSE[:0]
         if s in model.swaying.of_source:
             by_post, at = self.by_post(states, s, found.row[rows], keys)
-            parts = [by_post[:, :2]]
+            parts = [by_post]
         if s in self._border.survey:
-            by = by_survey_flat(model, rows, s)
+            by = by_survey_of_users(model, rows, s)[:, :, : model.survey_size]
             parts.append(self._border.by(self._border.survey[s], -by))
         error, settings = reference_errors(model, states, rows, s), model.sources[s].settings
         J = W @ np.concatenate(parts, -1)
@@ -102,26 +102,26 @@ class Beside:
 
 
 def reference_errors(model: Model, states: States, rows: NDArray[np.int64], s: int) -> Array:
-    """Where users are less where node s sees them, (m, 2) East and North in m."""
+    """Where users are less where node s sees them, (m, 3) East, North and up in m; 0 for a height
+    that is not told."""
     found = model.references
     z = found.z_world_m[rows]
     if model.sources[s].surveyed:
-        z = z + by_survey_flat(model, rows, s) @ states.survey[s]
+        z = z + by_survey_of_users(model, rows, s) @ states.survey[s]
     if s in model.swaying.of_source:
         z = z + moved(model, states, s, found.row[rows], model.reference_key[rows])
     return found.told_m[rows] - z
 
 
-def by_survey_flat(model: Model, rows: NDArray[np.int64], s: int) -> Array:
-    """How what node s sees of users moves with what its survey is off, (m, 2, 3)."""
-    z = np.pad(model.references.z_world_m[rows], ((0, 0), (0, 1)))
-    return detection.by_survey(z, model.sources[s].p_world_m)[:, :2]
+def by_survey_of_users(model: Model, rows: NDArray[np.int64], s: int) -> Array:
+    """How what node s sees of users moves with what its survey is off, (m, 3, 6)."""
+    return model.references.by_survey(rows, model.sources[s].p_world_m)
 
 
 def moved(
     model: Model, states: States, s: int, row: NDArray[np.int64], keys: NDArray[np.int64]
 ) -> Array:
-    """How far sway moves detections (m, 2) of source s at some keyframes: East and North in m."""
+    """How far sway moves detections (m, 3) of source s at some keyframes, along ENU in m."""
     swaying = model.swaying
     own = swaying.states(states.posts, keys, swaying.of_source[s])
     return swaying.moved(s, row, own)[0]

@@ -156,7 +156,7 @@ class Chain(Terms):
         """What the surveys are off after a step back."""
         moved = survey.copy()
         for s, at in self.border.survey.items():
-            moved[s] -= back[at]
+            moved[s, : at.stop - at.start] -= back[at]
         return moved
 
     def linearize(

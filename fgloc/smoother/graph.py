@@ -13,7 +13,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import A, B, C, L, S, V, X
+from gtsam.symbol_shorthand import A, B, C, L, S, U, V, X
 from numpy.typing import ArrayLike
 
 from fgloc.config import SmoothConfig
@@ -154,11 +154,10 @@ class GraphModel(Model):
             return [gnss.position_factor(X(j), z, self.levers[s], model)]
         by = {C(i): np.eye(3)} if source.bias is not None else {}
         if source.surveyed:
-            by[S(s)] = -detection.by_survey(z[None], source.p_world_m)[0]
+            by[S(s)] = -self._by_survey(i)
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(self.positions.row[i]), j)
-            by[row.key] = np.pad(row.J, ((0, 1), (0, 0)))
-            z = z + np.append(row.moved_m, 0.0)
+            by[row.key], z = row.J, z + row.moved_m
         return gnss.linked_position_factors(X(j), A(i), self._lever_key(s), z, model, by)
 
     def reference_factors(self, i: int) -> Factors:
@@ -169,12 +168,16 @@ class GraphModel(Model):
         model = noise.gaussian(found.cov_world_m2[i])
         model = noise.robust(model, source.settings.loss, source.settings.loss_width)
         if source.surveyed:
-            arm = np.append(z, 0.0)[None]
-            by[S(s)] = -detection.by_survey(arm, source.p_world_m)[0, :2]
+            by[S(s)] = -found.by_survey(np.array([i]), source.p_world_m)[0]
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(found.row[i]), int(self.reference_key[i]))
             by[row.key], z = row.J, z + row.moved_m
         return told_factors(i, found.told_m[i], z, model, by)
+
+    def _by_survey(self, i: int) -> Array:
+        """How the detection of row i moves with what its node's survey is off (3, 6)."""
+        p, place_m = self.positions, self.sources[int(self.positions.source[i])].p_world_m
+        return detection.by_survey(p.z_world_m[[i]], place_m, p.dof[[i]] == 3)[0]
 
     def _position_noise(self, i: int, s: int, width: float) -> Any:
         """The noise model of a row, built once where a source's covariance stays the same."""
@@ -221,28 +224,44 @@ class GraphModel(Model):
         if new_bias:
             values.insert(B(self.bias_of[j]), state.bias)
 
-    def insert_position(self, values: gtsam.Values, i: int, slow: ArrayLike = (0, 0, 0)) -> None:
+    def insert_position(
+        self, values: gtsam.Values, i: int, slow: ArrayLike = (0, 0, 0),
+        survey: ArrayLike = (0,) * detection.SURVEY,
+    ) -> None:  # fmt: skip
         """Put in the variables that row i adds, where it adds any.
 
-        `slow` is about what the source's slow error (3,) is, in m: the measured point is put where
-        that says, so that the loss sees what remains.
+        `slow` is about what the source's slow error (3,) is, in m, and `survey` (6,) what its
+        survey is off: the measured point is put where they say, so that the loss sees what remains.
         """
         s = int(self.positions.source[i])
         source, z = self.sources[s], self.positions.z_world_m[i]
+        if source.surveyed:
+            z = z + self._by_survey(i) @ np.asarray(survey, float)
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(self.positions.row[i]), int(self.key_of[i]))
-            z = z + np.append(row.believed_m, 0.0)
+            z = z + row.believed_m
         if source.linked:
             values.insert(A(i), z - np.asarray(slow, float))
         if source.bias is not None:
             values.insert(C(i), np.array(slow, float))
+
+    def insert_reference(self, values: gtsam.Values, i: int, survey: Array) -> None:
+        """Put in the place of the user of row i of the references: where the node sees it by what
+        is believed of its post and its `survey` (6,), so that the loss sees what remains."""
+        found, rows = self.references, np.array([i])
+        s, z = int(found.source[i]), found.z_world_m[i]
+        z = z + (found.by_survey(rows, self.sources[s].p_world_m) @ survey)[0]
+        if s in self.swaying.of_source:
+            row = self.swaying.row(s, int(found.row[i]), int(self.reference_key[i]))
+            z = z + row.believed_m
+        values.insert(U(i), z)
 
     def insert_shared(self, values: gtsam.Values) -> None:
         """Put in the variables that all keyframes share."""
         for key, s in self._lever_keys.items():
             values.insert(key, self.levers[s])
         for s in self._surveyed:
-            values.insert(S(s), np.zeros(3))
+            values.insert(S(s), np.zeros(detection.SURVEY))
         self.car.insert_shared(values)
 
     @property
@@ -258,7 +277,7 @@ class GraphModel(Model):
             factors.append(gtsam.PriorFactorPoint3(key, self.levers[s], tight))
         for s in self._surveyed:
             known = gtsam.noiseModel.Diagonal.Sigmas(self.sources[s].survey_sigmas)
-            factors.append(gtsam.PriorFactorVector(S(s), np.zeros(3), known))
+            factors.append(gtsam.PriorFactorVector(S(s), np.zeros(detection.SURVEY), known))
         return [*factors, *self.car.prior_factors()]
 
 

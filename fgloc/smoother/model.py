@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive, ImuNoise, Noise
 from fgloc.errors import DriveError
-from fgloc.factors import gnss, imu
+from fgloc.factors import detection, gnss, imu
 from fgloc.factors.preintegration import preintegrate
 from fgloc.frames import skew
 from fgloc.measurements import Array
@@ -95,6 +95,13 @@ class Model:
         return self.guides[slice(*np.searchsorted(self.key_of[self.guides], [first, stop]))]
 
     @cached_property
+    def survey_size(self) -> int:
+        """Unknowns of a survey that is uncertain: fewer where no node tells heights."""
+        high = (self.positions.dof[self.positions.candidates] == 3).any()
+        high |= (self.references.dof == 3).any()
+        return detection.SURVEY if high else detection.FLAT_SURVEY
+
+    @cached_property
     def first_place_m(self) -> Array:
         """About where the vehicle begins (3,): by the first guide."""
         return self.positions.z_world_m[self.guides[0]]
@@ -109,7 +116,14 @@ class Model:
     @cached_property
     def gate_nis(self) -> Array:
         """(n,) NIS above which each position is gated."""
-        return np.array([source.gate_nis for source in self.sources])[self.positions.source]
+        by_dof = [[source.settings.gate_nis(dof) for dof in (2, 3)] for source in self.sources]
+        return np.array(by_dof)[self.positions.source, self.positions.dof - 2]
+
+    @cached_property
+    def gate_in_plane(self) -> Array:
+        """(n,) NIS above which each position is gated by its place seen from above alone."""
+        by_source = np.array([source.settings.gate_nis(2) for source in self.sources])
+        return by_source[self.positions.source]
 
     @cached_property
     def cov_world_m2(self) -> Array:

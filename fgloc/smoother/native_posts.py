@@ -34,7 +34,7 @@ def post_key(slot: int, j: int) -> int:
 
 
 class LinearRow(NamedTuple):
-    """place + J state = z + moved_m, with the key of the state, J (2, 6) and moved_m (2,); where
+    """place + J state = z + moved_m, with the key of the state, J (3, 6) and moved_m (3,); where
     the state is what is believed, the place is z + believed_m."""
 
     key: int
@@ -111,10 +111,10 @@ class NativePosts(Swaying):
 def told_factors(
     i: int, told_m: Array, z_world_m: Array, model: gtsam.noiseModel.Base, by: dict[int, Array]
 ) -> Factors:
-    """A node's detection (2,) of a user who says where it is (2,): U(i) is that place, and
+    """A node's detection (3,) of a user who says where it is (3,): U(i) is that place, and
     U + sum of by[key] x_key = z. `model` is of what is told and of the detection together."""
-    tie = gtsam.PriorFactorPoint2(U(i), told_m, model)
+    tie = gtsam.PriorFactorPoint3(U(i), told_m, model)
     return [tie, linear_factor(
-        {key: J / gnss.TIE_SIGMA_M for key, J in ((U(i), np.eye(2)), *by.items())},
+        {key: J / gnss.TIE_SIGMA_M for key, J in ((U(i), np.eye(3)), *by.items())},
         z_world_m / gnss.TIE_SIGMA_M,
     )]  # fmt: skip

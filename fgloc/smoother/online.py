@@ -90,8 +90,8 @@ class Online:
         return int(self._tree.isam.getFactorsUnsafe().nrFactors())
 
     def survey(self) -> tuple[dict[int, Array], dict[int, Array]]:
-        """What each node's survey is off at the end (3,) and the sigmas (3,), m, m and rad, by the
-        number of its source."""
+        """What each node's survey is off at the end (6,) and the sigmas (6,), by the number of its
+        source; see `detection.by_survey`."""
         tree, sources = self._tree, self.model.sources
         own = [s for s, source in enumerate(sources) if source.surveyed and tree.holds(S(s))]
         sigmas = {s: np.sqrt(np.diag(tree.covariance([S(s)]))) for s in own}

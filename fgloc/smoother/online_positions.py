@@ -141,17 +141,17 @@ class OnlinePositions:
         S += (source.bias.sigma_m**2 if source.bias else 0.0) * np.eye(3)
         if s in model.swaying.of_source:
             moved, spread = posts.moved(s, int(p.row[i]), int(model.key_of[i]))
-            error[:2] -= moved
-            S[:2, :2] += spread
+            error, S = error - moved, S + spread
         nis = float(noise.nis(error, S))
         # What a slow error can take up does not move the state.
         alone = 0.0 if source.linked else float(noise.nis(error, R_own))
-        return Told(i, error, nis, source.gate_nis, alone > source.settings.loss_width**2)
+        limit = float(model.gate_nis[i])
+        return Told(i, error, nis, limit, alone > source.settings.loss_width**2)
 
     def _note(self, one: Told) -> None:
         verdicts, row = self._verdicts(one.i)
         verdicts.nis[row], verdicts.threshold[row] = one.nis, one.limit
-        verdicts.dof[row] = self.model.sources[int(self.model.positions.source[one.i])].dof
+        verdicts.dof[row] = self.model.positions.dof[one.i]
 
     def _accept_fix(self, one: Told, *, aligned: bool) -> bool:
         """Whether a fix is accepted: it fits, or none has for so long that the gate opens."""
@@ -198,7 +198,10 @@ class OnlinePositions:
         if not fitting:
             return None
         named = {one.i: (int(p.source[one.i]), int(p.object_id[one.i])) for one in seen}
-        car = min(fitting, key=lambda one: one.nis + self._witness.cost(*named[one.i]))
+        # A height that is told must not make a candidate look further away.
+        car = min(
+            fitting, key=lambda one: one.nis - p.dof[one.i] + self._witness.cost(*named[one.i])
+        )
         for one in seen:
             self._witness.note(*named[one.i], car=one is car)
         verdicts, row = self._verdicts(car.i)

@@ -3,7 +3,8 @@
 Poses of nodes and what users tell enter when they have arrived, at the states of the instants when
 they were true. Detections of the car enter with its positions (`online_positions.py`), about the
 state that is believed here. Where a window is grown anew its first states are at rest, as far as
-the wind lets them: a post forgets faster than any window ends.
+the wind lets them: a post forgets faster than any window ends. What users tell is taken at full
+weight, whatever the loss: what the survey is off would look like their error until it is known.
 """
 
 import gtsam
@@ -62,8 +63,8 @@ class OnlinePosts:
         self.swaying.about[j] = self.x[j]
 
     def moved(self, s: int, row: int, k: int) -> tuple[Array, Array]:
-        """How far sway is believed to move a detection (2,) of source s at keyframe k, and the
-        covariance of that (2, 2); what pose and post have in common is left out."""
+        """How far sway is believed to move a detection (3,) of source s at keyframe k, and the
+        covariance of that (3, 3); what pose and post have in common is left out."""
         slot = int(self.swaying.slot[self.swaying.of_source[s]])
         own = self.swaying.at(slot)
         moved, J = self.swaying.moved(s, np.array([row]), self.x[k, own][None])

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.factors.detection import by_survey
+from fgloc.factors.detection import FLAT_SURVEY, SURVEY, by_survey
 from fgloc.measurements import Array
 from fgloc.positions import DETECTIONS
 from fgloc.smoother.beside import reference_errors
@@ -33,7 +33,7 @@ def roadside(model: Model, states: States, sigmas: SharedSigmas) -> dict[str, An
 def causal_states(model: Model, log: StateLog, posts: Array, survey: Mapping[int, Array]) -> States:
     """The keyframes of a log, with posts and surveys as they were found; slow errors at zero."""
     at, n = model.epoch_of, len(model)
-    off = np.zeros((len(model.sources), 3))
+    off = np.zeros((len(model.sources), SURVEY))
     for s, value in survey.items():
         off[s] = value
     zeros = np.zeros((n, 6)), np.zeros((n, 3 * len(model.slow)))
@@ -61,7 +61,10 @@ def _node(model: Model, s: int, states: States, sigmas: SharedSigmas) -> dict[st
     if s in sigmas.survey:
         off, sigma = states.survey[s], sigmas.survey[s]
         told["survey_off_m"] = _with_sigma(off[:2], sigma[:2])
-        told["survey_off_rad"] = _with_sigma(off[2:], sigma[2:])
+        told["survey_off_rad"] = _with_sigma(off[2:3], sigma[2:3])
+        if model.survey_size == SURVEY:
+            told["survey_off_up_m"] = _with_sigma(off[3:4], sigma[3:4])
+            told["survey_off_level_rad"] = _with_sigma(off[4:], sigma[4:])
     return told
 
 
@@ -70,14 +73,14 @@ def _residual(model: Model, s: int, states: States, rows: NDArray[np.int64]) -> 
     users whose places are known, still differ by from the solution."""
     found, node = model.references, model.sources[s].p_world_m
     known = np.flatnonzero(found.source == s)
-    error = [position_errors(model, states, rows)[:, :2], reference_errors(model, states, known, s)]
-    cov = np.concatenate([model.cov_world_m2[rows, :2, :2], found.cov_world_m2[known]])
-    z = np.concatenate([model.positions.z_world_m[rows, :2], found.z_world_m[known]])
+    error = [position_errors(model, states, rows), reference_errors(model, states, known, s)]
+    cov = np.concatenate([model.cov_world_m2[rows], found.cov_world_m2[known]])[:, :2, :2]
+    z = np.concatenate([model.positions.z_world_m[rows], found.z_world_m[known]])
     if len(z) < LEAST_ROWS:
         return {}
     W = np.linalg.inv(np.linalg.cholesky(cov))
-    J = W @ by_survey(np.pad(z, ((0, 0), (0, 1))), node)[:, :2]
-    e = np.einsum("nij,nj->ni", W, np.concatenate(error))
+    J = W @ by_survey(z, node, np.zeros(len(z), bool))[:, :2, :FLAT_SURVEY]
+    e = np.einsum("nij,nj->ni", W, np.concatenate(error)[:, :2])
     fit = np.linalg.lstsq(J.reshape(-1, 3), e.ravel(), rcond=None)[0]
     names = ("residual_east_m", "residual_north_m", "residual_yaw_rad")
     return dict(zip(names, fit.tolist(), strict=True))

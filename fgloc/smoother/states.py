@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fgloc.factors import vehicle
+from fgloc.factors import detection, vehicle
 from fgloc.frames import pose_cov_to_world
 from fgloc.measurements import Array
 from fgloc.smoother.guess import Guess
@@ -21,9 +21,9 @@ class States:
     IMU's place, its bias (n, 6) in m/s^2 and rad/s, the slow errors of the sources of positions
     that have one (n, 3 for each) in m. Of the whole drive, how late the stamps of each source are
     whose clock is estimated (k,), in s, the car's calibration (3,), see `Car`, how far the box's
-    centre is from where the rig says (3,) in m, and of each source what its survey is off (3,):
-    east and north in m, yaw in rad, and what speed and direction of the velocities are off (2,), a
-    share and rad. `posts` (n, 6 for each slot) are those of swaying posts, see
+    centre is from where the rig says (3,) in m, and of each source what its survey is off (6,):
+    see `detection.by_survey`, and what speed and direction of the velocities are off (2,), a share
+    and rad. `posts` (n, 6 for each slot) are those of swaying posts, see
     `Swaying`."""
 
     R: Array
@@ -34,7 +34,7 @@ class States:
     late_s: Array = field(default_factory=lambda: np.zeros(0))
     calibration: Array = field(default_factory=lambda: vehicle.STRAIGHT)
     offset: Array = field(default_factory=lambda: np.zeros(3))
-    survey: Array = field(default_factory=lambda: np.zeros((1, 3)))
+    survey: Array = field(default_factory=lambda: np.zeros((1, detection.SURVEY)))
     posts: Array = field(default_factory=lambda: np.zeros((0, 0)))
     velocity_errors: Array = field(default_factory=lambda: np.zeros(2))
 
@@ -53,7 +53,7 @@ class States:
         n = len(guess.p_world_m)
         return cls(guess.R_world_veh, guess.p_world_m, guess.v_world_mps, np.zeros((n, 6)),
                    np.zeros((n, 3 * len(model.slow))), np.zeros(len(model.shifted_s)),
-                   survey=np.zeros((len(model.sources), 3)),
+                   survey=np.zeros((len(model.sources), detection.SURVEY)),
                    posts=np.zeros((n, model.swaying.width)))  # fmt: skip
 
 
@@ -90,8 +90,8 @@ class Spread:
 @dataclass(frozen=True, eq=False)
 class SharedSigmas:
     """Standard deviations of what a drive shares, where it is estimated: latenesses (k,) in s, the
-    box's centre (3,) in m, of some sources, by number, the survey (3,) in m, m and rad, and speed
-    and direction of the velocities (2,), a share and rad."""
+    box's centre (3,) in m, of some sources, by number, the survey (6,), or (3,) without
+    heights, and speed and direction of the velocities (2,), a share and rad."""
 
     late_s: Array = field(default_factory=lambda: np.zeros(0))
     offset: Array | None = None

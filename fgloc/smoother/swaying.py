@@ -45,7 +45,9 @@ class Swaying:
         self.watches, self._t_s = watches, elapsed_s(t_ns, int(t_ns[0]))
         self._nodes = drive.infrastructure.nodes
         seen = drive.tables.get(NodeDetections.KIND)
-        self._reported_m = seen.p_node_m if isinstance(seen, NodeDetections) else np.zeros((0, 2))
+        self._reported_m = np.zeros((0, 3))
+        if watches and isinstance(seen, NodeDetections):
+            self._reported_m = seen.place_node_m
         self.spans = np.array([np.searchsorted(t_ns, w.t_ns[[0, -1]]) for w in watches], int)
         self.slot = _slots(self.spans.reshape(-1, 2))
         self.slots = int(self.slot.max(initial=-1)) + 1
@@ -100,17 +102,19 @@ class Swaying:
         ])  # fmt: skip
 
     def moved(self, s: int, row: Index, states: Array) -> tuple[Array, Array]:
-        """How far sway moves what a node reports, (m, 2) East and North in m, and by the states.
+        """How far sway moves what a node reports, (m, 3) East, North and up in m, and by the
+        states. A height that is not told does not move.
 
         s       number of the node's source; row (m,) of the drive's detections
-        states  (m, 6) of its post; the Jacobian is (m, 2, 6)
+        states  (m, 6) of its post; the Jacobian is (m, 3, 6)
         """
         watch = self.watches[self.of_source[s]]
         node, post, reported_m = self._node(s), watch.post, self._reported_m[row]
         about = _tamed(states, post, reported_m)
         J, z = linear_row(reported_m, post, node, post.height_m, node.sensor, about)
         carried = z - np.einsum("nij,nj->ni", J, states)
-        return carried - node.to_world(reported_m), -J
+        still_m = np.nan_to_num(reported_m, nan=-post.height_m)
+        return carried - node.place_to_world(still_m), -J
 
     def poses(self, first: int, stop: int) -> Iterator[tuple[int, Index, Array, Array]]:
         """What is told of the states at keyframes first..stop - 1: slot, keyframes (m,) each once,
@@ -180,7 +184,7 @@ def _slots(spans: Index) -> Index:
 
 def _tamed(states: Array, post: Post, reported_m: Array) -> Array:
     """States (m, 6) whose tilt leaves what is seen well below the horizon."""
-    range_m = np.maximum(np.hypot(*reported_m.T), 1e-6)
+    range_m = np.maximum(np.hypot(*reported_m[:, :2].T), 1e-6)
     most_rad = MOST_TILT * np.arctan2(post.height_m, range_m)
     tilt_rad = post.tip_slope_per_m * np.hypot(states[:, 0], states[:, 3])
     return states * np.minimum(1.0, most_rad / np.maximum(tilt_rad, 1e-12))[:, None]

@@ -54,7 +54,7 @@ class Step(NamedTuple):
 class Border(NamedTuple):
     """Where the unknowns that the whole drive shares stand: how late stamps are, the car's
     calibration, the centre of its box, what its velocities are off, and what the survey of each
-    source, by number, is off."""
+    source, by number, is off: in the plane, and in space where nodes tell heights."""
 
     late: slice
     car: slice
@@ -72,14 +72,16 @@ class Border(NamedTuple):
         erring = model.car.velocities.err
         velocity = slice(offset.stop, offset.stop + 2 * erring)
         surveyed = [s for s, source in enumerate(model.sources) if source.surveyed]
-        survey = {s: slice(velocity.stop + 3 * i, velocity.stop + 3 * i + 3)
+        n = model.survey_size
+        survey = {s: slice(velocity.stop + n * i, velocity.stop + n * i + n)
                   for i, s in enumerate(surveyed)}  # fmt: skip
         return cls(late, car, offset, velocity, survey)
 
     @property
     def size(self) -> int:
         """How many unknowns there are."""
-        return int(self.velocity.stop) + 3 * len(self.survey)
+        ends = (self.velocity.stop, *(at.stop for at in self.survey.values()))
+        return int(max(ends))
 
     def by(self, at: slice | NDArray[np.int64], jacobian: Array) -> Array:
         """Jacobians (n, m, q) by some of the shared unknowns among those by all of them. One by

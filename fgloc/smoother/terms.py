@@ -132,7 +132,11 @@ class Terms:
             (self.border.offset, states.offset, np.full(3, loose)),
             (self.border.velocity, states.velocity_errors, car.velocities.error_sigmas),
             *(
-                (at, states.survey[s], self.model.sources[s].survey_sigmas)
+                (
+                    at,
+                    states.survey[s][: self.model.survey_size],
+                    self.model.sources[s].survey_sigmas[: self.model.survey_size],
+                )
                 for s, at in self.border.survey.items()
             ),
         ):
@@ -192,7 +196,7 @@ class Terms:
         if source.point_sigma_m:
             border.append(self.border.by(self.border.offset, R))
         if s in self.border.survey:
-            by = -by_survey(self.model, rows, s)
+            by = -by_survey(self.model, rows, s)[:, :, : self.model.survey_size]
             border.append(self.border.by(self.border.survey[s], by))
         if border:
             parts.append(np.sum(border, axis=0))
@@ -251,13 +255,14 @@ def position_residual(
     if model.sources[s].surveyed:
         z = z + by_survey(model, rows, s) @ states.survey[s]
     if s in model.swaying.of_source:
-        z[:, :2] += moved(model, states, s, model.positions.row[rows], keys)
+        z = z + moved(model, states, s, model.positions.row[rows], keys)
     return gnss.residual(states.p[keys], states.R[keys], z, lever, bias)
 
 
 def by_survey(model: Model, rows: NDArray[np.int64], s: int) -> Array:
-    """How detections of node s move with what its survey is off (n, 3, 3)."""
-    return detection.by_survey(model.positions.z_world_m[rows], model.sources[s].p_world_m)
+    """How detections of node s move with what its survey is off (n, 3, 6)."""
+    p = model.positions
+    return detection.by_survey(p.z_world_m[rows], model.sources[s].p_world_m, p.dof[rows] == 3)
 
 
 def late_residual(

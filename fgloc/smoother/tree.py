@@ -7,6 +7,7 @@ from typing import NamedTuple, SupportsFloat, SupportsIndex, SupportsInt
 import gtsam
 import numpy as np
 
+from fgloc.factors.detection import SURVEY
 from fgloc.measurements import Array
 
 Stamps = dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex]
@@ -52,11 +53,11 @@ def parameters(factorization: str, thresholds: Thresholds | None) -> gtsam.ISAM2
             ("l", 3),
             ("w", 3),
             ("z", 3),
-            ("s", 3),
+            ("s", SURVEY),
             ("t", 3),
         ):
             sizes.insert((letter, np.full(size, OTHER_THRESHOLD)))
-        for letter, size in (("p", 6), ("u", 2), ("m", 2)):
+        for letter, size in (("p", 6), ("u", 3), ("m", 2)):
             sizes.insert((letter, np.full(size, NEVER)))
         params.setRelinearizeThreshold(sizes)
         params.enablePartialRelinearizationCheck = True

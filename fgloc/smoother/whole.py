@@ -5,7 +5,7 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import B, C, L, S, U, V, X
+from gtsam.symbol_shorthand import B, C, L, S, V, X
 from numpy.typing import NDArray
 
 from fgloc.factors import imu
@@ -114,7 +114,7 @@ class Whole:
             keys, parts = [*keys, S(s)], [*parts, -J]
         if s in model.swaying.of_source:
             row = model.swaying.row(s, int(model.positions.row[i]), j)
-            keys, parts = [*keys, row.key], [*parts, np.pad(row.J, ((0, 1), (0, 0)))]
+            keys, parts = [*keys, row.key], [*parts, row.J]
         H = np.hstack(parts)
         # GTSAM orders a joint covariance as it is asked to.
         P = H @ (joint(keys) if len(keys) > 1 else cov[j]) @ H.T
@@ -173,14 +173,14 @@ class Whole:
             s, slow = int(model.positions.source[i]), np.zeros(3)
             if s in model.slow:
                 slow = states.slow[int(model.key_of[i]), 3 * model.slow.index(s) :][:3]
-            model.insert_position(values, i, slow)
+            model.insert_position(values, i, slow, states.survey[s])
         for j in range(self.n):
             model.swaying.insert(values, j, states.posts[j])
         told = model.car.velocities.keys
         for j in robust.holds(SOURCE, told[told < self.n]).tolist():
             model.car.insert_velocity(values, j, states.v[j])
         for i in range(self.told):
-            values.insert(U(i), model.references.told_m[i])
+            model.insert_reference(values, i, states.survey[int(model.references.source[i])])
         return values
 
     def _states(self, values: gtsam.Values, robust: Robustness, before: States) -> States:

@@ -22,6 +22,7 @@ from fgloc.measurements import (
     Ranges,
     SmartCodeSightings,
     SteeringAngles,
+    UserFixes,
     WheelSpeeds,
 )
 from fgloc.posts import PostStates
@@ -127,7 +128,8 @@ def full_drive() -> Drive:
 
 def roadside_things() -> Infrastructure:
     return Infrastructure(
-        (Node("north", np.array([7.13, 62.19, 6.0]), 0.3), Node("s", np.zeros(3), -2, 0.1, 0.01)),
+        (Node("north", np.array([7.13, 62.19, 6.0]), 0.3),
+         Node("s", np.zeros(3), -2, 0.1, 0.01, sigma_level_rad=0.002)),
         (Post("s", 10.0, 1.97, 0.05, 20.1, 0.138, 250.0, 0.3),),
         (Sign("big", "0c0ffee", np.array([9.1, 2, 3]), -1.57, 0.5588, "left"),
          Sign("small", "1", np.zeros(3), 0, 0.127)),
@@ -144,10 +146,14 @@ def roadside(rng: np.random.Generator, n: int = 5) -> dict:
     t_ns = np.arange(n) * 100_000_000
     cov = np.tile(np.array([[0.3, 0.1], [0.1, 0.2]]), (n, 1, 1))
     cov[2] = np.nan
+    up, sigma_up = -rng.uniform(1, 9, (2, n)), rng.uniform(0.1, 1, (2, n))
+    up[:, 3], sigma_up[:, 3] = np.nan, np.nan
     seen = NodeDetections(
         t_ns, t_ns + 90_000_000, np.arange(n) % 2, np.arange(n) - 1, np.ones(n),
-        rng.standard_normal((n, 2)), cov,
+        rng.standard_normal((n, 2)), cov, up[0], sigma_up[0],
     )  # fmt: skip
+    users = UserFixes(t_ns, t_ns, np.arange(n) % 2, rng.standard_normal((n, 2)),
+                      np.tile([[0.3, 0.1], [0.1, 0.2]], (n, 1, 1)), up[1], sigma_up[1])  # fmt: skip
     odometry = Odometry(t_ns, t_ns, *rng.standard_normal((2, n)), *rng.uniform(0.1, 1, (2, n)))
     velocity = EnuVelocities(t_ns, t_ns, rng.standard_normal((n, 3)), rng.uniform(0.1, 1, n))
     tilt, sigma_tilt = rng.standard_normal((n, 2)), rng.uniform(0.1, 1, (n, 2))
@@ -163,7 +169,7 @@ def roadside(rng: np.random.Generator, n: int = 5) -> dict:
     ranges = Ranges(t_ns, t_ns, np.zeros(n), rng.uniform(1, 50, n), rng.uniform(0.1, 1, n))
     return {
         "odometry": odometry, "velocity": velocity, "detections": seen, "node_poses": poses,
-        "smart_codes": codes, "ranges": ranges,
+        "users": users, "smart_codes": codes, "ranges": ranges,
     }  # fmt: skip
 
 

@@ -134,6 +134,34 @@ def test_without_sway_the_detections_scatter_as_they_state():
     assert squares.mean() / 2 == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize("sways", [True, False])
+def test_a_lidar_tells_how_a_tilt_lifts_what_it_sees(sways):
+    drive = make(DRIVE, 3, sensor="lidar", sways=sways)
+    seen, true = drive.tables["detections"], drive.post_truth.take(slice(None, None, 20))
+    assert seen.has_height.all()
+    lifted = seen.p_node_m[:, 0] * true.tilt_rad[:, 1] - seen.p_node_m[:, 1] * true.tilt_rad[:, 0]
+    off = (seen.up_node_m + drive.infrastructure.nodes[0].p_world_m[2] - lifted) / seen.sigma_up_m
+    assert np.mean(off**2) == pytest.approx(1.0, abs=0.1)
+    assert (np.abs(lifted).max() > 0.3) == sways
+
+
+def test_heights_leave_all_else_as_it_is():
+    high, flat = (make(DRIVE, 3, duration_s=5.0, sensor="lidar", users=2, heights=told)
+                  for told in (True, False))  # fmt: skip
+    assert not flat.tables["detections"].has_height.any()
+    for name, column in (("detections", "p_node_m"), ("users", "p_world_m"), ("gnss", "t_ns"),
+                         ("gnss", "p_world_ant_m"), ("imu", "gyro_radps")):  # fmt: skip
+        np.testing.assert_array_equal(*(getattr(one.tables[name], column) for one in (high, flat)))
+    users = high.tables["users"]
+    assert np.mean((users.up_m / users.sigma_up_m) ** 2) == pytest.approx(1.0, abs=0.4)
+
+
+def test_a_camera_tells_no_heights_nor_do_the_users_it_sees():
+    drive = make(DRIVE, 3, duration_s=2.0, users=1)
+    assert not drive.tables["detections"].has_height.any()
+    assert np.isnan(drive.tables["users"].up_m).all()
+
+
 def test_the_drive_is_written_and_read_with_its_sensor(tmp_path):
     drive = make(DRIVE, 1, duration_s=2.0, poses=False)
     assert "node_poses" not in drive.tables

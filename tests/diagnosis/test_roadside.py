@@ -41,3 +41,34 @@ def test_a_node_that_states_no_covariance_is_no_fault():
     seen = drive.tables["detections"]
     silent = dataclasses.replace(seen, cov_node_m2=np.full_like(seen.cov_node_m2, np.nan))
     assert ("not-finite", "detections") not in kinds(drive.with_tables(detections=silent))
+
+
+def past_a_lidar(**how):
+    """A LiDAR that tells heights, on a post that sways."""
+    return make("khamooshi2023/sway-drive", 0, duration_s=20.0, sensor="lidar", **how)
+
+
+def heights_found(drive) -> list[str]:
+    return [one.what for one in diagnose(drive) if one.check == "node-height"]
+
+
+def test_a_node_in_another_height_datum_is_a_fault():
+    drive = past_a_lidar()
+    assert not heights_found(drive)
+    (node,) = drive.infrastructure.nodes
+    high = dataclasses.replace(node, p_world_m=node.p_world_m + [0, 0, 36.0])
+    beside = dataclasses.replace(drive.infrastructure, nodes=(high,))
+    (what,) = heights_found(dataclasses.replace(drive, infrastructure=beside))
+    assert what.startswith("node 'isn-1' tells heights that lie +36.")
+    assert "detections near them" in what
+
+
+def test_heights_are_judged_by_what_the_fixes_tell_of_them():
+    seen = past_a_lidar().tables["detections"]
+    lower = dataclasses.replace(seen, up_node_m=seen.up_node_m - 3.0)
+    coarse, fine = (past_a_lidar(gnss_sigma_m=sigma).with_tables(detections=lower)
+                    for sigma in (1.0, 0.1))  # fmt: skip
+    assert not heights_found(coarse)
+    assert len(heights_found(fine)) == 1
+    bare = make("khamooshi2023/sway-drive", 0, duration_s=20.0, sensor="lidar", heights=False)
+    assert not heights_found(bare)

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fgloc.factors import detection
+from fgloc.frames import exp_so3
 
 
 @pytest.mark.parametrize(
@@ -33,18 +34,25 @@ def test_sigmas_lie_along_the_line_of_sight_and_across_it(angle_rad, along_m, ac
 
 def test_a_survey_turned_by_a_degree_moves_what_is_60_m_away_by_a_metre():
     z, node = np.array([[70.0, 10.0, 0.0]]), np.array([10.0, 10.0, 6.0])
-    (J,) = detection.by_survey(z, node)
+    (J,) = detection.by_survey(z, node, np.array([True]))
     turn = np.deg2rad(1.0)
-    np.testing.assert_allclose(J @ [0, 0, turn], [0, 60 * turn, 0])
-    np.testing.assert_allclose(J @ [0.3, -0.2, 0], [0.3, -0.2, 0])
+    np.testing.assert_allclose(J @ [0, 0, turn, 0, 0, 0], [0, 60 * turn, 0])
+    np.testing.assert_allclose(J @ [0.3, -0.2, 0, 0.1, 0, 0], [0.3, -0.2, 0.1])
+    # A lean to the East sinks what is there; what is below the node goes West.
+    np.testing.assert_allclose(J @ [0, 0, 0, 0, 0, turn], [-6 * turn, 0, -60 * turn])
+
+
+def test_a_node_that_tells_no_height_feels_its_survey_in_the_plane_alone():
+    z, node = np.array([[70.0, 10.0, 0.0]] * 2), np.array([10.0, 20.0, 6.0])
+    flat, high = detection.by_survey(z, node, np.array([False, True]))
+    np.testing.assert_array_equal(flat[:, :3], high[:, :3])
+    assert not flat[:, 3:].any() and not flat[2].any()
 
 
 def test_the_jacobian_by_the_survey_is_the_slope():
     z, node, eps = np.array([[70.0, -30.0, 0.0]]), np.array([10.0, 10.0, 6.0]), 1e-6
-    (J,) = detection.by_survey(z, node)
-    arm = (z - node)[0, :2]
-    turned = [
-        np.cos(eps) * arm[0] - np.sin(eps) * arm[1],
-        np.sin(eps) * arm[0] + np.cos(eps) * arm[1],
-    ]
-    np.testing.assert_allclose(J[:2, 2], (np.array(turned) - arm) / eps, atol=1e-4)
+    (J,) = detection.by_survey(z, node, np.array([True]))
+    arm = (z - node)[0]
+    for column, axis in ((2, [0, 0, 1]), (4, [1, 0, 0]), (5, [0, 1, 0])):
+        turned = exp_so3(eps * np.array([axis], float))[0] @ arm
+        np.testing.assert_allclose(J[:, column], (turned - arm) / eps, atol=1e-4)

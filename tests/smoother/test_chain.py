@@ -161,6 +161,22 @@ def test_with_what_a_node_sees(city, node, settings):
     assert_same_optimum(drive, gnss={"bias_sigma_m": 1.0}, detections=settings, solver=solver)
 
 
+@pytest.mark.parametrize("every", [1, 3])
+@pytest.mark.parametrize("node", [{}, {"bias_sigma_m": 0.3, "sigma_level_rad": 0.01}])
+def test_with_heights_that_a_node_tells(city, node, every):
+    drive = seen_by_a_node(city(0, 20.0), **node)
+    seen, truth = drive.tables["detections"], drive.truth.take(slice(0, None, 25))
+    told = np.arange(len(seen)) % every == 0
+    up_m = truth.at_point(drive.rig.p_veh_box_m).p_world_m[:, 2]
+    up_m = up_m + 0.2 * np.random.default_rng(6).normal(size=len(seen))
+    up_m -= drive.infrastructure.nodes[0].p_world_m[2]
+    sigma_m = np.full(len(seen), 0.2)
+    up_m, sigma_m = (np.where(told, column, np.nan) for column in (up_m, sigma_m))
+    high = replace(seen, up_node_m=up_m, sigma_up_m=sigma_m)
+    settings = {"detections": {"loss_width": 2.0}, "solver": {"cost_tolerance": 1e-9}}
+    assert_same_optimum(drive.with_tables(detections=high), gnss={"bias_sigma_m": 1.0}, **settings)
+
+
 def test_the_last_steps_factor_gives_the_covariances_of_the_optimum(city):
     """The factor that is left over is that of before the last step."""
     _, start, chain, _ = solvers(city(0, 30.0))
