@@ -130,16 +130,9 @@ def position_sources(drive: Drive, config: SmoothConfig) -> tuple[PositionSource
     """GNSS, and then every node of a drive, as a configuration believes them."""
     g, d = config.gnss, config.detections
     gnss = PositionSource(
-        GNSS,
-        GNSS,
-        drive.rig.p_veh_ant_m,
-        np.zeros(3),
-        3,
-        g,
-        gnss_bias(drive, g),
-        np.zeros(detection.SURVEY),
-        0.0,
-    )
+        GNSS, GNSS, drive.rig.p_veh_ant_m, np.zeros(3), 3, g, gnss_bias(drive, g),
+        np.zeros(detection.SURVEY), 0.0,
+    )  # fmt: skip
     nodes = drive.infrastructure.nodes if DETECTIONS in drive.tables else ()
     return gnss, *(
         _node_source(
