@@ -36,9 +36,9 @@ def residual(
     bias_world_m: ArrayLike = (0.0, 0.0, 0.0),
 ) -> GnssResidual:  # fmt: skip
     """Predicted minus measured antenna position of poses (N, ...) and fixes (N, 3), ENU m."""
-    lever = np.asarray(p_veh_ant_m, float)
-    error = p_world_m + R_world_veh @ lever + np.asarray(bias_world_m, float) - z_world_m
-    turned = (R_world_veh.reshape(-1, 3) @ skew(-lever)).reshape(-1, 3, 3)  # one large product
+    lever, flat = np.asarray(p_veh_ant_m, float), R_world_veh.reshape(-1, 3)  # for large products
+    arm, turned = (flat @ lever).reshape(-1, 3), (flat @ skew(-lever)).reshape(-1, 3, 3)
+    error = p_world_m + arm + np.asarray(bias_world_m, float) - z_world_m
     by_pose = np.concatenate([turned, R_world_veh], axis=-1)
     return GnssResidual(error, by_pose, np.eye(3))
 

@@ -92,7 +92,7 @@ class Trajectory:
         lever = np.asarray(p_veh_point_m, float) - self.p_veh_point_m
         if not lever.any():
             return self
-        arm_world = self.attitude() @ lever
+        arm_world = (self.attitude().reshape(-1, 3) @ lever).reshape(-1, 3)
         cov = self.cov
         if cov is not None:
             J = np.broadcast_to(np.eye(6), (len(self), 6, 6)).copy()
