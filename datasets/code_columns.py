@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fgloc.datasets.columns import Columns, Group, Layout, check_known, place
+from fgloc.datasets.columns import Columns, Group, Layout, check_known, check_positive, place
 from fgloc.datasets.trajectory_columns import check_increasing, stack, unstack
 from fgloc.errors import DriveError
 from fgloc.factors.corners import code_size_px
@@ -43,23 +43,13 @@ def smart_codes_from_columns(
     """
     check_increasing(path, columns["t_ns"], duplicates=True)
     check_known(path, columns, SIGN, len(infrastructure.signs))
-    _check_sizes(path, columns)
+    check_positive(path, columns, SIZE, "a size")
     corners, t_ns = _corners(path, columns), columns["t_ns"]
     height_px, width_px = (columns[name] for name in SIZE)
     return SmartCodeSightings(
         t_ns, columns.get("received_ns", t_ns), columns[SIGN], height_px, width_px,
         _middle(path, columns, corners), corners,
     )  # fmt: skip
-
-
-def _check_sizes(path: Path, columns: Columns) -> None:
-    for name in SIZE:
-        bad = columns[name] <= 0
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise DriveError(
-                f"{place(path, row)}: {name} = {columns[name][row]}; a size must be above 0"
-            )
 
 
 def _corners(path: Path, columns: Columns) -> Array:

@@ -20,6 +20,7 @@ from fgloc.datasets import arrow_csv
 from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer
 from fgloc.errors import DriveError
 from fgloc.files import read_filled
+from fgloc.parallel import portions
 
 _INT64 = np.iinfo(np.int64)
 _AT_ONCE = 1 << 20
@@ -67,8 +68,7 @@ def _formatted(columns: Mapping[str, ArrayLike]) -> Iterator[bytes]:
 def _lines(columns: Sequence[NDArray[Any]]) -> Iterator[bytes]:
     """Columns of whole numbers and of others stand in runs, each of which is written at once."""
     runs = [list(run) for _, run in groupby(columns, key=lambda values: values.dtype)]
-    for first in range(0, max(map(len, columns)), _ROWS_AT_ONCE):
-        part = slice(first, first + _ROWS_AT_ONCE)
+    for part in portions(max(map(len, columns)), _ROWS_AT_ONCE):
         texts = [format_rows(np.stack([values[part] for values in run], -1)) for run in runs]
         yield b"".join(b",".join(cells) + b"\n" for cells in zip(*texts, strict=True))
 

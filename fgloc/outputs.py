@@ -22,6 +22,7 @@ from fgloc.evaluation.objects import score_objects
 from fgloc.frames import Origin
 from fgloc.measurements import Array
 from fgloc.node_health import format_nodes, node_rows
+from fgloc.parallel import portions
 from fgloc.posts import PostStates
 from fgloc.result import Event, Result
 from fgloc.timing import NS_PER_S
@@ -317,8 +318,8 @@ def _verdict_lines(verdicts: Verdicts) -> Iterator[bytes]:
     """The lines of `verdicts.csv`, many at a time."""
     yield (",".join(VERDICT_COLUMNS) + "\n").encode()
     for table in verdicts.values():
-        for first in range(0, len(table), _ROWS_AT_ONCE):
-            yield from _verdict_rows(table, slice(first, first + _ROWS_AT_ONCE))
+        for part in portions(len(table), _ROWS_AT_ONCE):
+            yield from _verdict_rows(table, part)
 
 
 def _verdict_rows(table: SourceVerdicts, part: slice) -> Iterator[bytes]:

@@ -31,6 +31,11 @@ def each(make: Callable[[Part], Made], parts: Iterable[Part]) -> list[Made]:
         return list(pool.map(lambda context, part: context.run(make, part), contexts, parts))
 
 
+def portions(n: int, size: int) -> list[slice]:
+    """n rows in portions of so many, the last of what is left."""
+    return [slice(first, first + size) for first in range(0, n, size)]
+
+
 def processors() -> int:
     """How many this process may use."""
     if hasattr(os, "sched_getaffinity"):

@@ -103,6 +103,10 @@ class Positions:
     def __len__(self) -> int:
         return len(self.t_ns)
 
+    def by_survey(self, rows: NDArray[np.int64], p_world_node_m: Array) -> Array:
+        """How some detections (m,) of a node move with what its survey is off (m, 3, 6)."""
+        return detection.by_survey(self.z_world_m[rows], p_world_node_m, self.dof[rows] == 3)
+
     def take(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
         """The rows that a mask or an index array selects."""
         names = type(self).__dataclass_fields__
@@ -232,19 +236,28 @@ def world_positions(drive: Drive, seen: NodeDetections) -> Array:
 def _detections(
     drive: Drive, seen: NodeDetections, rows: NDArray[np.int64], config: DetectionConfig
 ) -> Positions:
-    seen, up_m = seen.take(rows), height_m(drive)
-    told = seen.has_height
+    seen = seen.take(rows)
+    return Positions(
+        seen.t_ns, seen.received_ns, 1 + seen.node, rows, numbered(seen.t_ns, seen.node),
+        seen.object_id, *world_places(drive, seen, config), 2 + seen.has_height,
+        np.ones(len(rows), bool),
+    )  # fmt: skip
+
+
+def world_places(
+    drive: Drive, seen: NodeDetections, config: DetectionConfig
+) -> tuple[Array, Array]:
+    """Where nodes report what they see (N, 3), ENU m, as they were surveyed, and the covariance
+    (N, 3, 3) in m^2; a height that is not told is about the car's, and free."""
+    told, up_m = seen.has_height, height_m(drive)
     z = np.column_stack([world_positions(drive, seen), np.where(told, seen.up_node_m, up_m)])
-    cov = np.zeros((len(rows), 3, 3))
+    cov = np.zeros((len(seen), 3, 3))
     cov[:, 2, 2] = np.where(told, seen.sigma_up_m, FREE_UP_M) ** 2
     for i, node in enumerate(drive.infrastructure.nodes):
         own = seen.node == i
         cov[own, :2, :2] = horizontal_cov_m2(node, seen.take(own), config, up_m)
         z[own & told, 2] += node.p_world_m[2]
-    return Positions(
-        seen.t_ns, seen.received_ns, 1 + seen.node, rows, numbered(seen.t_ns, seen.node),
-        seen.object_id, z, cov, 2 + told, np.ones(len(rows), bool),
-    )  # fmt: skip
+    return z, cov
 
 
 def numbered(*columns: NDArray[np.int64]) -> NDArray[np.int64]:

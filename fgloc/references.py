@@ -26,9 +26,8 @@ from fgloc.positions import (
     DETECTIONS,
     FREE_UP_M,
     PositionSource,
-    height_m,
-    horizontal_cov_m2,
     position_sources,
+    world_places,
 )
 from fgloc.timing import NS_PER_S, Instants
 from fgloc.verdicts import SourceVerdicts, Verdict
@@ -134,7 +133,8 @@ def _of_node(
     near = np.hypot(*np.where(sound[:, None], seen.p_node_m, 0.0).T) <= node.range_m
     rows = np.flatnonzero(sound & near & (seen.t_ns >= span_ns[0]) & (seen.t_ns <= span_ns[1]))
     of_node = seen.take(rows)
-    z, cov = _reported(drive, config, of_node, s)
+    z, cov = world_places(drive, of_node, config.detections)
+    cov *= config.detections.sigma_scale**2
     if source.bias is not None:
         cov = cov + source.bias.sigma_m**2 * np.eye(3)
     slow_m = drive.rig.user_bias.sigma_m if drive.rig.user_bias else 0.0
@@ -156,20 +156,6 @@ def _of_node(
         np.concatenate([getattr(part, name)[own] for part, own in zip(parts, clear, strict=True)])
         for name in References.__dataclass_fields__
     ))  # fmt: skip
-
-
-def _reported(
-    drive: Drive, config: SmoothConfig, seen: NodeDetections, s: int
-) -> tuple[Array, Array]:
-    """Where a node reports what it sees (n, 3), ENU m, and the covariance (n, 3, 3); a height that
-    it does not tell is its own, and exact."""
-    node, d = drive.infrastructure.nodes[s - 1], config.detections
-    told = seen.has_height
-    place_m = np.column_stack([seen.p_node_m, np.where(told, seen.up_node_m, 0.0)])
-    cov = np.zeros((len(seen), 3, 3))
-    cov[:, :2, :2] = horizontal_cov_m2(node, seen, d, height_m(drive))
-    cov[:, 2, 2] = np.where(told, seen.sigma_up_m, 0.0) ** 2
-    return node.place_to_world(place_m), cov * d.sigma_scale**2
 
 
 def _free(cov: Array, of: NDArray[np.bool_]) -> Array:

@@ -25,7 +25,7 @@ class Verdict(StrEnum):
     OTHER = "other object"
     UNUSED = "unused"
 
-    __hash__ = str.__hash__  # as quick as text: there is one for every measurement
+    __hash__ = str.__hash__  # a verdict and its text are one key
 
 
 FATES = tuple(Verdict)

@@ -10,7 +10,7 @@ from fgloc import frames
 from fgloc.errors import InputError
 from fgloc.evaluation.consistency import leading_nees
 from fgloc.measurements import Array, freeze
-from fgloc.parallel import each
+from fgloc.parallel import each, portions
 from fgloc.timing import Instants, elapsed_s
 from fgloc.trajectory import Trajectory
 
@@ -109,9 +109,8 @@ def errors(
         truth = truth.at_point(estimate.p_veh_point_m)
     keep, left_out = _covered(estimate, truth, score_from_ns, max_gap_s)
     headings, kept = [a[keep] for a in _headings(truth, min_speed_mps)], truth.take(keep)
-    portions = [slice(i, i + AT_ONCE) for i in range(0, max(len(kept), 1), AT_ONCE)]
     parts = each(lambda rows: _rows(estimate, kept.take(rows), *(a[rows] for a in headings)),
-                 portions)  # fmt: skip
+                 portions(max(len(kept), 1), AT_ONCE))  # fmt: skip
     columns: dict[str, Any] = {
         name: np.concatenate([part[name] for part in parts]) for name in parts[0]
     }

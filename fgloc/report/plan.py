@@ -102,10 +102,10 @@ def _fixes(scene: Scene) -> list[Spec]:
     p, t_s = table.p_world_ant_m, scene.seconds(table.t_ns)
     if verdicts is None:
         return [_markers(p, t_s, np.arange(len(table)), "fixes", np.full(len(table), ""))]
-    names = verdicts.verdict.astype(str)
+    names, reason = verdicts.verdict.astype(str), verdicts.reason
     order = [v for v in map(str, Verdict) if (names == v).any()]
     order.sort(key=lambda name: name != Verdict.USED)
-    return [_markers(p, t_s, np.flatnonzero(names == v), v, verdicts.reason) for v in order]
+    return [_markers(p, t_s, np.flatnonzero(names == v), v, reason) for v in order]
 
 
 def _markers(p: Array, t_s: Array, rows: np.ndarray, verdict: str, reason: np.ndarray) -> Spec:

@@ -75,7 +75,7 @@ class Beside:
             by_post, at = self.by_post(states, s, found.row[rows], keys)
             parts = [by_post]
         if s in self._border.survey:
-            by = by_survey_of_users(model, rows, s)[:, :, : model.survey_size]
+            by = found.by_survey(rows, model.sources[s].p_world_m)[:, :, : model.survey_size]
             parts.append(self._border.by(self._border.survey[s], -by))
         error, settings = reference_errors(model, states, rows, s), model.sources[s].settings
         J = W @ np.concatenate(parts, -1)
@@ -107,15 +107,10 @@ def reference_errors(model: Model, states: States, rows: NDArray[np.int64], s: i
     found = model.references
     z = found.z_world_m[rows]
     if model.sources[s].surveyed:
-        z = z + by_survey_of_users(model, rows, s) @ states.survey[s]
+        z = z + found.by_survey(rows, model.sources[s].p_world_m) @ states.survey[s]
     if s in model.swaying.of_source:
         z = z + moved(model, states, s, found.row[rows], model.reference_key[rows])
     return found.told_m[rows] - z
-
-
-def by_survey_of_users(model: Model, rows: NDArray[np.int64], s: int) -> Array:
-    """How what node s sees of users moves with what its survey is off, (m, 3, 6)."""
-    return model.references.by_survey(rows, model.sources[s].p_world_m)
 
 
 def moved(

@@ -154,7 +154,7 @@ class GraphModel(Model):
             return [gnss.position_factor(X(j), z, self.levers[s], model)]
         by = {C(i): np.eye(3)} if source.bias is not None else {}
         if source.surveyed:
-            by[S(s)] = -self._by_survey(i)
+            by[S(s)] = -self.positions.by_survey(np.array([i]), source.p_world_m)[0]
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(self.positions.row[i]), j)
             by[row.key], z = row.J, z + row.moved_m
@@ -173,11 +173,6 @@ class GraphModel(Model):
             row = self.swaying.row(s, int(found.row[i]), int(self.reference_key[i]))
             by[row.key], z = row.J, z + row.moved_m
         return told_factors(i, found.told_m[i], z, model, by)
-
-    def _by_survey(self, i: int) -> Array:
-        """How the detection of row i moves with what its node's survey is off (3, 6)."""
-        p, place_m = self.positions, self.sources[int(self.positions.source[i])].p_world_m
-        return detection.by_survey(p.z_world_m[[i]], place_m, p.dof[[i]] == 3)[0]
 
     def _position_noise(self, i: int, s: int, width: float) -> Any:
         """The noise model of a row, built once where a source's covariance stays the same."""
@@ -236,7 +231,8 @@ class GraphModel(Model):
         s = int(self.positions.source[i])
         source, z = self.sources[s], self.positions.z_world_m[i]
         if source.surveyed:
-            z = z + self._by_survey(i) @ np.asarray(survey, float)
+            by = self.positions.by_survey(np.array([i]), source.p_world_m)[0]
+            z = z + by @ np.asarray(survey, float)
         if s in self.swaying.of_source:
             row = self.swaying.row(s, int(self.positions.row[i]), int(self.key_of[i]))
             z = z + row.believed_m

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fgloc.factors import noise
 from fgloc.measurements import Array
-from fgloc.parallel import each
+from fgloc.parallel import each, portions
 
 ALONE = 1e-9
 """A measurement that leaves the rest of the graph less than this share of its own information is
@@ -73,5 +73,5 @@ def leave_out(
         informed[rows] = noise.positive_definite(rest - share)
 
     rows = np.flatnonzero(kept)
-    each(fill, [rows[i : i + AT_ONCE] for i in range(0, len(rows), AT_ONCE)])
+    each(fill, [rows[part] for part in portions(len(rows), AT_ONCE)])
     return LeftOut(keys, without, spread, own, weight, informed, kept)

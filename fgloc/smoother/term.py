@@ -9,7 +9,7 @@ from fgloc.errors import SolverError
 from fgloc.factors import noise
 from fgloc.factors.fields import inverse_of_lower, of, rows
 from fgloc.measurements import Array
-from fgloc.parallel import each
+from fgloc.parallel import each, portions
 from fgloc.smoother.model import Model
 
 POSE, VELOCITY, BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15)
@@ -99,7 +99,7 @@ def whitening(model: Model, cov: Array, keys: NDArray[np.int64]) -> Array:
         W[part] = rows(inverse_of_lower(of(np.asarray(np.linalg.cholesky(cov[part]), np.float64))))
 
     try:
-        each(fill, [slice(i, i + AT_ONCE) for i in range(0, len(cov), AT_ONCE)])
+        each(fill, portions(len(cov), AT_ONCE))
         return W
     except np.linalg.LinAlgError as err:
         sound = np.nan_to_num(cov, nan=-1.0, posinf=-1.0, neginf=-1.0)

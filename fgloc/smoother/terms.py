@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from fgloc.constraints import STANDSTILL
 from fgloc.drive import GnssBias
-from fgloc.factors import detection, gnss, imu, vehicle
+from fgloc.factors import gnss, imu, vehicle
 from fgloc.frames import log_so3, right_jacobian_inverse_so3, yaw_matrix, yaw_of
 from fgloc.measurements import Array
 from fgloc.positions import GNSS
@@ -126,17 +126,14 @@ class Terms:
         """What is known of the unknowns of the whole drive before any measurement."""
         car, late = self.model.car, np.full(self.border.late.stop, self.model.config.clock.sigma_s)
         loose = max(source.point_sigma_m for source in self.model.sources)
+        surveyed = self.model.survey_size
         for at, value, sigma in (
             (self.border.late, states.late_s + self.model.shifted_s, late),
             (self.border.car, states.calibration - vehicle.STRAIGHT, car.calibration_sigmas),
             (self.border.offset, states.offset, np.full(3, loose)),
             (self.border.velocity, states.velocity_errors, car.velocities.error_sigmas),
             *(
-                (
-                    at,
-                    states.survey[s][: self.model.survey_size],
-                    self.model.sources[s].survey_sigmas[: self.model.survey_size],
-                )
+                (at, states.survey[s][:surveyed], self.model.sources[s].survey_sigmas[:surveyed])
                 for s, at in self.border.survey.items()
             ),
         ):
@@ -196,7 +193,8 @@ class Terms:
         if source.point_sigma_m:
             border.append(self.border.by(self.border.offset, R))
         if s in self.border.survey:
-            by = -by_survey(self.model, rows, s)[:, :, : self.model.survey_size]
+            by = self.model.positions.by_survey(rows, source.p_world_m)
+            by = -by[:, :, : self.model.survey_size]
             border.append(self.border.by(self.border.survey[s], by))
         if border:
             parts.append(np.sum(border, axis=0))
@@ -253,16 +251,10 @@ def position_residual(
     if model.sources[s].point_sigma_m:
         lever = lever + states.offset
     if model.sources[s].surveyed:
-        z = z + by_survey(model, rows, s) @ states.survey[s]
+        z = z + model.positions.by_survey(rows, model.sources[s].p_world_m) @ states.survey[s]
     if s in model.swaying.of_source:
         z = z + moved(model, states, s, model.positions.row[rows], keys)
     return gnss.residual(states.p[keys], states.R[keys], z, lever, bias)
-
-
-def by_survey(model: Model, rows: NDArray[np.int64], s: int) -> Array:
-    """How detections of node s move with what its survey is off (n, 3, 6)."""
-    p = model.positions
-    return detection.by_survey(p.z_world_m[rows], model.sources[s].p_world_m, p.dof[rows] == 3)
 
 
 def late_residual(

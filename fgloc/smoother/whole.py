@@ -17,7 +17,6 @@ from fgloc.smoother.model import YAW_SIGMA_RAD
 from fgloc.smoother.solve import covariances, optimize, window_values
 from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
 from fgloc.smoother.term import Term
-from fgloc.smoother.terms import by_survey
 from fgloc.smoother.tree import as_graph
 from fgloc.smoother.velocities import SOURCE
 
@@ -110,7 +109,7 @@ class Whole:
         if source.point_sigma_m:
             keys, parts = [*keys, L(1)], [*parts, R]
         if source.surveyed:
-            J = by_survey(model, np.array([i]), s)[0]
+            J = model.positions.by_survey(np.array([i]), source.p_world_m)[0]
             keys, parts = [*keys, S(s)], [*parts, -J]
         if s in model.swaying.of_source:
             row = model.swaying.row(s, int(model.positions.row[i]), j)
