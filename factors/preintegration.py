@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgloc.factors.fields import apply, cross, curvature, exp, inverse_jacobian, product
+from fgloc.factors.fields import apply, cross, curvature, exp, inverse_jacobian, product, rows
 from fgloc.factors.fields import skew as skews
 from fgloc.factors.imu import INTEGRATION_NOISE_M_PER_SQRT_S, ImuDeltas
 from fgloc.frames import (
@@ -152,15 +152,20 @@ class _Path:
         remaining = dt.sum(0) - np.cumsum(dt, 0)
         reach = dt / 2 + remaining  # a speed gained in a step has moved so far by the end, per dt
         theta = self._theta[:, count, np.arange(len(count))]
-        delta = np.concatenate([theta, (force * (dt * reach)).sum(1), (force * dt).sum(1)]).T
+        delta = np.concatenate([theta, _over(force, dt * reach), _over(force, dt)]).T
         step = np.eye(3)[:, :, None, None] + dt * turn_by_theta
         M = _effects(step, force_by_theta * (dt * reach), force_by_theta * dt, inverse)
         by_bias = np.zeros((len(count), 9, 6))
-        by_bias[:, 3:6, :3] = -(R * (dt * reach)).sum(2).transpose(2, 0, 1)
-        by_bias[:, 6:, :3] = -(R * dt).sum(2).transpose(2, 0, 1)
-        by_bias[:, :, 3:] = -(M * dt).sum(2).transpose(2, 0, 1)
+        by_bias[:, 3:6, :3] = -rows(_over(R, dt * reach))
+        by_bias[:, 6:, :3] = -rows(_over(R, dt))
+        by_bias[:, :, 3:] = -rows(_over(M, dt))
         cov = _covariance(M, R, dt, reach, accel_var, gyro_var)
         return delta, by_bias, _at_the_end(exp(theta), cov)
+
+
+def _over(field: Array, weight: Array) -> Array:
+    """The sum over the samples of a field (..., L, n) under weights (L, n)."""
+    return np.asarray(np.einsum("...ln,ln->...n", field, weight))
 
 
 def _rotations(turn: Array) -> Array:
@@ -221,8 +226,11 @@ def _covariance(
 def _spread(effects: Array) -> Array:
     """(n, m, m): the sum over samples of E E' for effects (m, 3, L, n) of unit noise."""
     m, n = len(effects), effects.shape[-1]
-    flat = effects.transpose(3, 0, 1, 2).reshape(n, m, -1)
-    return np.asarray(flat @ flat.swapaxes(-1, -2))
+    cov = np.empty((n, m, m))
+    for i in range(m):
+        row = np.einsum("abln,bln->an", effects[: i + 1], effects[i]).T
+        cov[:, i, : i + 1] = cov[:, : i + 1, i] = row
+    return cov
 
 
 def _at_the_end(end: tuple[Array, Array], cov: Array) -> Array:

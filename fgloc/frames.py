@@ -156,10 +156,15 @@ def _krueger() -> tuple[float, Array, Array]:
 
 def is_rotation(R: ArrayLike, tolerance: float) -> NDArray[np.bool_]:
     """(...) bool: which of finite (..., 3, 3) turn and do not mirror; R R^T is I to `tolerance`."""
-    R = np.asarray(R, float)
-    orthonormal = (np.abs(R @ R.swapaxes(-1, -2) - np.eye(3)) <= tolerance).all((-1, -2))
-    volume = (np.cross(R[..., 0, :], R[..., 1, :]) * R[..., 2, :]).sum(-1)
-    return np.asarray(orthonormal & (volume > 0))
+    x, y, z = np.moveaxis(np.asarray(R, float), -2, 0)  # its rows
+    products = ((x, x, 1), (y, y, 1), (z, z, 1), (x, y, 0), (x, z, 0), (y, z, 0))
+    orthonormal = [np.abs(_dot(a, b) - wanted) <= tolerance for a, b, wanted in products]
+    return np.asarray(np.logical_and.reduce(orthonormal) & (_dot(np.cross(x, y), z) > 0))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Inner products (...) of vectors (..., 3)."""
+    return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 def skew(vector: ArrayLike) -> Array:
@@ -239,10 +244,21 @@ def right_jacobian_inverse_so3(rotvec_rad: ArrayLike) -> Array:
 
 
 def _in_skew(vector: Array, square: Array, a: Array, b: Array) -> Array:
-    """I + a W + b W^2 of W = skew(vector), which has W^2 = w w' - |w|^2 I."""
-    result = (b[..., None] * vector)[..., None] * vector[..., None, :]
-    result += skew(a[..., None] * vector)
-    result[..., range(3), range(3)] += (1 - b * square)[..., None]
+    """I + a W + b W^2 of W = skew(vector), which has W^2 = w w' - |w|^2 I.
+
+    Entry by entry: numpy's loops over axes of three take three times longer.
+    """
+    w = np.moveaxis(vector, -1, 0)
+    (x, y, z), (ax, ay, az), (bx, by, bz), diagonal = w, a * w, b * w, 1 - b * square
+    entries = (
+        (bx * x + diagonal, bx * y - az, bx * z + ay),
+        (bx * y + az, by * y + diagonal, by * z - ax),
+        (bx * z - ay, by * z + ax, bz * z + diagonal),
+    )
+    result = np.empty((*vector.shape, 3))
+    for i, row in enumerate(entries):
+        for j, entry in enumerate(row):
+            result[..., i, j] = entry
     return result
 
 

@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 
 from fgloc import chi_square
 from fgloc.errors import InputError
-from fgloc.measurements import Array
+from fgloc.factors import fields
+from fgloc.measurements import Array, finite_rows
 
 _SINGULAR = 1e-12
 """Smallest eigenvalue of a correlation matrix that still counts as positive definite."""
@@ -37,20 +38,19 @@ def leading_nees(error: Array, cov: Array, sizes: Sequence[int]) -> list[Array]:
     the whole tells of all."""
     result = [np.full(len(error), np.nan) for _ in sizes]
     sigma = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))
-    sound = np.asarray((sigma > 0).all(-1) & np.isfinite(error).all(-1))
+    sound = np.asarray((sigma > 0).all(-1) & finite_rows(error))
     rows = np.flatnonzero(sound)
     correlation = cov[rows] / (sigma[rows, :, None] * sigma[rows, None, :])
-    try:  # one factorisation decides the usual case, where all are definite
-        L = np.linalg.cholesky(correlation)
-    except np.linalg.LinAlgError:
+    L = fields.cholesky(fields.of(correlation))
+    if not fields.positive(L).all():  # else one factorisation has decided
         definite = np.linalg.eigvalsh(correlation)[:, 0] > _SINGULAR
         sound[rows[~definite]] = False
-        L, rows = np.linalg.cholesky(correlation[definite]), rows[definite]
-    z = error[rows] / sigma[rows]
-    for i in range(z.shape[1]):  # forward substitution: what is left of z is L^-1 z
-        z[:, i] = (z[:, i] - (L[:, i, :i] * z[:, :i]).sum(-1)) / L[:, i, i]
+        L, rows = fields.cholesky(fields.of(correlation[definite])), rows[definite]
+    z = fields.of(error[rows] / sigma[rows])
+    for i in range(len(z)):  # forward substitution: what is left of z is L^-1 z
+        z[i] = (z[i] - (L[i, :i] * z[:i]).sum(0)) / L[i, i]
     for told, size in zip(result, sizes, strict=True):
-        told[rows] = (z[:, :size] ** 2).sum(-1)
+        told[rows] = (z[:size] ** 2).sum(0)
         if size < error.shape[1] and not sound.all():  # what the others spoil
             told[~sound] = nees(error[~sound, :size], cov[~sound, :size, :size])
     return result

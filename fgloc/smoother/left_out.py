@@ -65,7 +65,7 @@ def leave_out(
     def fill(rows: NDArray[np.int64]) -> None:
         weighted = own[rows] / weight[rows, None, None]
         rest = weighted - predicted[rows]
-        gain = weighted @ np.linalg.inv(rest)
+        gain = weighted @ noise.inverse(rest)
         without[rows] = np.einsum("nij,nj->ni", gain, error[rows])
         spread[rows] = gain @ weighted - weighted
         least = ALONE * weighted.trace(axis1=1, axis2=2)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.factors import noise
 from fgloc.factors.detection import FLAT_SURVEY, SURVEY, by_survey
 from fgloc.measurements import Array
 from fgloc.positions import DETECTIONS
@@ -78,7 +79,7 @@ def _residual(model: Model, s: int, states: States, rows: NDArray[np.int64]) -> 
     z = np.concatenate([model.positions.z_world_m[rows], found.z_world_m[known]])
     if len(z) < LEAST_ROWS:
         return {}
-    W = np.linalg.inv(np.linalg.cholesky(cov))
+    W = noise.whitening(cov)
     J = W @ by_survey(z, node, np.zeros(len(z), bool))[:, :2, :FLAT_SURVEY]
     e = np.einsum("nij,nj->ni", W, np.concatenate(error)[:, :2])
     fit = np.linalg.lstsq(J.reshape(-1, 3), e.ravel(), rcond=None)[0]

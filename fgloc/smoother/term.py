@@ -7,14 +7,13 @@ from numpy.typing import NDArray
 
 from fgloc.errors import SolverError
 from fgloc.factors import noise
-from fgloc.factors.fields import inverse_of_lower, of, rows
-from fgloc.measurements import Array
+from fgloc.measurements import Array, finite_rows
 from fgloc.parallel import each, portions
 from fgloc.smoother.model import Model
 
 POSE, VELOCITY, BIAS = np.arange(6), np.arange(6, 9), np.arange(9, 15)
 STATE, FULL = np.arange(9), np.arange(15)
-AT_ONCE = 4096
+AT_ONCE = 5000
 """So many matrices are inverted at a time."""
 
 
@@ -96,18 +95,16 @@ def whitening(model: Model, cov: Array, keys: NDArray[np.int64]) -> Array:
     W = np.empty_like(cov, np.float64)
 
     def fill(part: slice) -> None:
-        W[part] = rows(inverse_of_lower(of(np.asarray(np.linalg.cholesky(cov[part]), np.float64))))
+        W[part] = noise.whitening(cov[part])
 
-    try:
-        each(fill, portions(len(cov), AT_ONCE))
-        return W
-    except np.linalg.LinAlgError as err:
-        sound = np.nan_to_num(cov, nan=-1.0, posinf=-1.0, neginf=-1.0)
-        j = int(keys[np.argmin(np.linalg.eigvalsh(sound)[:, 0] > 0)])
+    each(fill, portions(len(cov), AT_ONCE))
+    if not np.isfinite(W).all():
+        j = int(keys[np.argmin(finite_rows(W))])
         raise SolverError(
             f"the measurements at keyframe {j}, t = {model.t_s[j]:.2f} s, are out of all "
             "bounds: a covariance cannot be computed from them"
-        ) from err
+        )
+    return W
 
 
 def whitened(W: Array, error: Array) -> Array:
