@@ -70,7 +70,7 @@ def _lines(columns: Sequence[NDArray[Any]]) -> Iterator[bytes]:
     runs = [list(run) for _, run in groupby(columns, key=lambda values: values.dtype)]
     for part in portions(max(map(len, columns)), _ROWS_AT_ONCE):
         texts = [format_rows(np.stack([values[part] for values in run], -1)) for run in runs]
-        yield b"".join(b",".join(cells) + b"\n" for cells in zip(*texts, strict=True))
+        yield b"\n".join(map(b",".join, zip(*texts, strict=True))) + b"\n"
 
 
 def format_rows(numbers: NDArray[Any]) -> list[bytes]:

@@ -7,6 +7,7 @@ for that reason (columns r00 to r22); quaternions qx,qy,qz,qw are read as well.
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from fgloc.datasets.code_columns import smart_codes_from_columns
 from fgloc.datasets.columns import Columns, Layout
@@ -74,17 +75,20 @@ def read_drive(folder: str | Path) -> Drive:
     columns = dict(zip(files, read, strict=True))
     origin = _origin(folder, about, files, columns)
     infrastructure = to_infrastructure(folder / FILE_NAME, about)
-    tables = {
-        stem: _table(stem, files[stem], columns[stem], origin, infrastructure)
-        for stem in LAYOUTS
-        if stem in files
-    }
+    stems = [stem for stem in LAYOUTS if stem in files]
+
+    def made(stem: str) -> Any:
+        if stem == "truth":
+            return _truth(folder, about, files, columns, origin)
+        return _table(stem, files[stem], columns[stem], origin, infrastructure)
+
+    *tables, truth = each(made, [*stems, "truth"])
     return Drive(
         about.name,
         origin,
         to_rig(folder / FILE_NAME, about.rig),
-        tables,
-        _truth(folder, about, files, columns, origin),
+        dict(zip(stems, tables, strict=True)),
+        truth,
         to_about(about.about),
         infrastructure,
         _objects(files, columns),

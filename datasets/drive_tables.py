@@ -293,7 +293,7 @@ def _seen(columns: Columns, infrastructure: Infrastructure) -> Array:
     """(N, 2) in the node's axes, from these or from East and North."""
     if SEEN[0] in columns:
         return stack(columns, SEEN)
-    p_m = stack(columns, SEEN_WORLD)
+    p_m = stack(columns, SEEN_WORLD).copy()
     for i, node in enumerate(infrastructure.nodes):
         rows = columns["node"] == i
         p_m[rows] = node.from_world(p_m[rows])

@@ -10,7 +10,7 @@ from fgloc import frames
 from fgloc.datasets.columns import Columns, Group, Layout, place
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.measurements import Array
+from fgloc.measurements import Array, sealed
 from fgloc.timing import Instants
 from fgloc.trajectory import Trajectory
 
@@ -45,8 +45,8 @@ TRUTH = Layout((Group.of("t_ns"), Group((ENU, GEODETIC)), *_OPTIONAL), ignored=S
 
 
 def stack(columns: Columns, names: tuple[str, ...]) -> Array:
-    """The named columns side by side, (N, len(names))."""
-    return np.stack([columns[name] for name in names], axis=-1)
+    """The named columns side by side, (N, len(names)), read-only."""
+    return sealed(np.stack([columns[name] for name in names], axis=-1))
 
 
 def unstack(names: tuple[str, ...], array: Array) -> Columns:
@@ -152,12 +152,12 @@ def check_increasing(
 
 
 def symmetric(upper: Array, size: int) -> Array:
-    """Upper triangles (N, size (size + 1) / 2), row by row, as full matrices."""
+    """Upper triangles (N, size (size + 1) / 2), row by row, as full matrices, read-only."""
     i, j = np.triu_indices(size)
     full = np.empty((len(upper), size, size))
     full[:, i, j] = upper
     full[:, j, i] = upper
-    return full
+    return sealed(full)
 
 
 def _attitude(path: Path, columns: Columns) -> Array | None:

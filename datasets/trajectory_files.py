@@ -62,9 +62,9 @@ def write_tum(path: str | Path, trajectory: Trajectory) -> None:
     q = np.tile([0.0, 0.0, 0.0, 1.0], (len(trajectory), 1))
     if trajectory.R_world_veh is not None:
         q = matrix_to_quat_xyzw(trajectory.R_world_veh)
-    stamps = map(ns_to_decimal, trajectory.t_ns.tolist())
+    stamps = [ns_to_decimal(t).encode() for t in trajectory.t_ns.tolist()]
     rows = format_rows(np.concatenate([trajectory.p_world_m, q], -1))
-    lines = (f"{t},".encode() + row for t, row in zip(stamps, rows, strict=True))
+    lines = map(b",".join, zip(stamps, rows, strict=True))
     Path(path).write_bytes(b"\n".join(lines).replace(b",", b" ") + b"\n")
 
 

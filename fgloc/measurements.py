@@ -32,6 +32,21 @@ def freeze(array: Any, dtype: type = np.float64) -> NDArray[Any]:
     return result
 
 
+def sealed(array: NDArray[Any]) -> NDArray[Any]:
+    """A new array that nobody else has, read-only as it stands: `freeze` need not copy it."""
+    array.flags.writeable = False
+    return array
+
+
+def finite_rows(*columns: Array) -> NDArray[np.bool_]:
+    """(N,) bool: in which rows of some columns (N, ...) all numbers are finite."""
+    fine = np.ones(len(columns[0]), bool)
+    for finite in map(np.isfinite, columns):
+        if not finite.all():  # by rows it takes twenty times longer
+            fine &= finite.reshape(len(fine), -1).all(-1)
+    return fine
+
+
 def freeze_ns(name: str, t_ns: Any, error: type[InputError] = InputError) -> Instants:
     """Instants as a read-only array; `error` where they are no integers.
 
@@ -87,7 +102,7 @@ class Table:
 
     def take(self, index: Any) -> Self:
         """The rows that a slice, mask or index array selects, as a table of the same kind."""
-        return replace(self, **{f.name: getattr(self, f.name)[index] for f in fields(self)})
+        return replace(self, **{f.name: sealed(getattr(self, f.name)[index]) for f in fields(self)})
 
     def same_as(self, other: object) -> bool:
         """Whether both are of one kind and equal in every bit (NaN equals NaN)."""

@@ -15,8 +15,9 @@ from fgloc.config import DetectionConfig, GnssConfig, SmoothConfig
 from fgloc.drive import Drive, GnssBias
 from fgloc.errors import DriveError
 from fgloc.factors import detection
+from fgloc.factors.noise import positive_definite
 from fgloc.infrastructure import Node
-from fgloc.measurements import PEDESTRIAN, Array, GnssFixes, NodeDetections
+from fgloc.measurements import PEDESTRIAN, Array, GnssFixes, NodeDetections, finite_rows
 from fgloc.timing import Instants, elapsed_s
 from fgloc.verdicts import SourceVerdicts, Verdict
 
@@ -167,9 +168,9 @@ def usable_fixes(
 ) -> NDArray[np.int64]:
     """Rows that can enter: sound, the first such of their instant, and within the span of the
     sensor that carries the state between them."""
-    finite = np.isfinite(gnss.p_world_ant_m).all(-1) & np.isfinite(gnss.cov_world_m2).all((-1, -2))
+    finite = finite_rows(gnss.p_world_ant_m, gnss.cov_world_m2)
     definite = np.zeros(len(gnss), bool)
-    definite[finite] = np.linalg.eigvalsh(gnss.cov_world_m2[finite])[:, 0] > 0
+    definite[finite] = positive_definite(gnss.cov_world_m2[finite])
     duplicate = repeats(gnss.t_ns, definite)
     outside = (gnss.t_ns < span_ns[0]) | (gnss.t_ns > span_ns[1])
     verdicts.set(slice(None), Verdict.UNUSED, "not reached")
@@ -199,7 +200,7 @@ def _candidates(
     drive: Drive, seen: NodeDetections, span_ns: tuple[int, int], verdicts: SourceVerdicts
 ) -> NDArray[np.int64]:
     """Rows that may be the car."""
-    finite = np.asarray(np.isfinite(seen.p_node_m).all(-1))
+    finite = finite_rows(seen.p_node_m)
     ranges = np.array([node.range_m for node in drive.infrastructure.nodes])
     far = np.hypot(*np.where(finite[:, None], seen.p_node_m, 0.0).T) > ranges[seen.node]
     outside = (seen.t_ns < span_ns[0]) | (seen.t_ns > span_ns[1])
@@ -217,7 +218,7 @@ def _candidates(
 
 def _within_reach(drive: Drive, seen: NodeDetections) -> NDArray[np.bool_]:
     """(N,) bool: where the car may be, by the last fix before, received or not."""
-    fixes = drive.gnss.take(np.isfinite(drive.gnss.p_world_ant_m).all(-1))
+    fixes = drive.gnss.take(finite_rows(drive.gnss.p_world_ant_m))
     last = np.maximum(np.searchsorted(fixes.t_ns, seen.t_ns, side="right") - 1, 0)
     age_s = np.abs(elapsed_s(seen.t_ns, 0) - elapsed_s(fixes.t_ns[last], 0))
     apart = world_positions(drive, seen) - fixes.p_world_ant_m[last][:, :2]

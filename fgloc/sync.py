@@ -23,7 +23,7 @@ from fgloc.constraints import (
 )
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
-from fgloc.measurements import Array, ImuSamples
+from fgloc.measurements import Array, ImuSamples, finite_rows
 from fgloc.motion import Motion, credit, kind_of, made_up, measured
 from fgloc.positions import Positions, measured_positions, repeats
 from fgloc.references import References, find_references
@@ -184,8 +184,7 @@ def _keyframe_interval_s(config: SmoothConfig, motion: Motion) -> float:
 
 def _usable_samples(imu: ImuSamples, verdicts: SourceVerdicts, name: str) -> ImuSamples:
     """The samples that are finite and the first of their instant."""
-    values = np.hstack([imu.accel_mps2, imu.gyro_radps])
-    finite = np.asarray(np.isfinite(values).all(-1))
+    finite = finite_rows(imu.accel_mps2, imu.gyro_radps)
     duplicate = repeats(imu.t_ns, finite)
     verdicts.set(slice(None), Verdict.USED)
     verdicts.set(duplicate, Verdict.DUPLICATE, "an earlier row has the same t_ns")

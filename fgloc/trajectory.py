@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from fgloc import frames
 from fgloc.errors import InputError
-from fgloc.measurements import Array, freeze, freeze_ns
+from fgloc.measurements import Array, freeze, freeze_ns, sealed
 from fgloc.timing import NS_PER_S, Instants
 
 
@@ -76,11 +76,9 @@ class Trajectory:
 
     def take(self, index: Any) -> Self:
         """The states that a slice, mask or index array selects."""
-        optional = {
-            name: None if (value := getattr(self, name)) is None else value[index]
-            for name in ("R_world_veh", "v_world_mps", "cov")
-        }
-        kept: Any = {"t_ns": self.t_ns[index], "p_world_m": self.p_world_m[index], **optional}
+        names = ("t_ns", "p_world_m", "R_world_veh", "v_world_mps", "cov")
+        there = [name for name in names if getattr(self, name) is not None]
+        kept: Any = {name: sealed(getattr(self, name)[index]) for name in there}
         return replace(self, **kept)
 
     def at_point(self, p_veh_point_m: ArrayLike) -> Self:
@@ -97,9 +95,9 @@ class Trajectory:
         if cov is not None:
             J = np.broadcast_to(np.eye(6), (len(self), 6, 6)).copy()
             J[:, :3, 3:] = -frames.skew(arm_world)
-            cov = J @ cov @ J.swapaxes(-1, -2)
+            cov = sealed(J @ cov @ J.swapaxes(-1, -2))
         return replace(
-            self, p_world_m=self.p_world_m + arm_world, v_world_mps=None, cov=cov,
+            self, p_world_m=sealed(self.p_world_m + arm_world), v_world_mps=None, cov=cov,
             p_veh_point_m=np.asarray(p_veh_point_m, float),
         )  # fmt: skip
 
@@ -133,11 +131,11 @@ class Trajectory:
         R = None
         if self.R_world_veh is not None:
             R_i, R_j = self.R_world_veh[i], self.R_world_veh[j]
-            R = R_i @ frames.exp_so3(s * frames.log_so3(R_i.swapaxes(-1, -2) @ R_j))
+            R = sealed(R_i @ frames.exp_so3(s * frames.log_so3(R_i.swapaxes(-1, -2) @ R_j)))
         cov = None
         if self.cov is not None:
             w = s[..., None]
-            cov = (1 - w) * self.cov[i] + w * self.cov[j]
+            cov = sealed((1 - w) * self.cov[i] + w * self.cov[j])
         return replace(self, t_ns=t, p_world_m=p, R_world_veh=R, v_world_mps=v, cov=cov)
 
     def sigma_along_across_m(self) -> tuple[Array, Array]:
