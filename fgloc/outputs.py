@@ -323,29 +323,30 @@ def _verdict_lines(verdicts: Verdicts) -> Iterator[bytes]:
 
 
 def _verdict_rows(table: SourceVerdicts, part: slice) -> Iterator[bytes]:
-    """Lines of some rows of a source, whose ends are made once for each run of rows with one
-    verdict and reason."""
-    rows = format_rows(np.stack([table.t_ns[part], table.received_ns[part]], -1))
-    judged = table.dof[part].any() or not np.isnan([table.nis[part], table.threshold[part]]).all()
-    told = _told(table, part) if judged else []
-    fates, whys = table.fate[part], table.why[part]
-    changes = np.flatnonzero((fates[1:] != fates[:-1]) | (whys[1:] != whys[:-1])) + 1
+    """Lines of some rows of a source: beginning and end are made once for each run of rows that
+    have all but times and NIS in common."""
+    times = format_rows(np.stack([table.t_ns[part], table.received_ns[part]], -1))
+    fates, whys, dofs = table.fate[part], table.why[part], table.dof[part]
+    limits, nis = table.threshold[part], table.nis[part]
+    told = [] if np.isnan(nis).all() else _numbers(nis)
     begin = f"{_cell(table.source)},".encode()
-    for first, stop in pairwise([0, *changes.tolist(), len(fates)]):
-        fate, reason = FATES[fates[first]], _cell(table.reasons[whys[first]])
-        lines, end = rows[first:stop], f",{fate},,0,,{reason}\n".encode()
-        if judged:
-            middle, end = f",{fate},".encode(), f",{reason}\n".encode()
-            pairs = zip(lines, told[first:stop], strict=True)
-            lines = [times + middle + numbers for times, numbers in pairs]
+    common = fates, whys, dofs, np.where(np.isnan(limits), -1.0, limits)
+    changes = np.any([column[1:] != column[:-1] for column in common], 0)
+    for first, stop in pairwise([0, *(np.flatnonzero(changes) + 1).tolist(), len(nis)]):
+        middle, reason = f",{FATES[fates[first]]},".encode(), _cell(table.reasons[whys[first]])
+        end = f",{dofs[first]},{_number(limits[first])},{reason}\n".encode()
+        lines = times[first:stop]
+        if told:
+            lines = list(map(middle.join, zip(lines, told[first:stop], strict=True)))
+        else:
+            end = middle + end
         yield begin + (end + begin).join(lines) + end
 
 
-def _told(table: SourceVerdicts, part: slice) -> list[bytes]:
-    """NIS, degrees of freedom and threshold of some rows; empty for NaN."""
-    columns = (column[part].tolist() for column in (table.nis, table.dof, table.threshold))
-    text = to_json(list(zip(*columns, strict=True)))[2:-2]
-    return text.replace(b"NaN", b"").replace(b"Infinity", b"inf").split(b"],[")
+def _numbers(values: Array) -> list[bytes]:
+    """The shortest exact text of each of some numbers (n,); empty for NaN."""
+    text = to_json(values.tolist())[1:-1]
+    return text.replace(b"NaN", b"").replace(b"Infinity", b"inf").split(b",")
 
 
 def _number(value: float) -> str:

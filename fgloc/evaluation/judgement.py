@@ -1,12 +1,16 @@
 """A whole result held against the truth: errors, metrics with outages included, requirements."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 from fgloc.evaluation.against_truth import Errors, errors
 from fgloc.evaluation.gaps import Spans, gnss_outages
 from fgloc.evaluation.metric import Metric
 from fgloc.evaluation.requirements import Requirement, judge_requirements
 from fgloc.evaluation.scoring import score_errors
+from fgloc.parallel import each
 from fgloc.result import Result
 from fgloc.timing import seconds_to_ns
 from fgloc.trajectory import Trajectory
@@ -48,5 +52,9 @@ def judge_trajectory(
     """The same of a trajectory alone; with `outages` (K, 2) there are metrics of these."""
     start_ns = int(estimate.t_ns[0]) + seconds_to_ns(score_from_s) if len(estimate) else None
     found = errors(estimate, truth, score_from_ns=start_ns)
-    metrics = score_errors(found, outages=outages)
-    return Judgement(found, metrics, judge_requirements(found))
+    tell: list[Callable[[Errors], Any]] = [
+        partial(score_errors, outages=outages),
+        judge_requirements,
+    ]
+    metrics, requirements = each(lambda told: told(found), tell)
+    return Judgement(found, metrics, requirements)

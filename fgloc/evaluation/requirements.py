@@ -21,6 +21,7 @@ import numpy as np
 from fgloc.evaluation.against_truth import MAX_GAP_S, Errors
 from fgloc.evaluation.consistency import effective_samples
 from fgloc.measurements import Array
+from fgloc.parallel import each
 from fgloc.timing import NS_PER_S, Instants
 
 SOURCE = "Reid et al. (2019), Localization Requirements for Autonomous Vehicles"
@@ -122,7 +123,9 @@ class Evidence:
 
 def judge_requirements(errors: Errors) -> tuple[Requirement, ...]:
     """Every requirement of every profile; one that cannot be judged says why."""
-    evidence = {column: _evidence(errors, column) for column in PROFILES[0].accuracy95}
+    columns = list(PROFILES[0].accuracy95)
+    found = each(lambda column: _evidence(errors, column), columns)
+    evidence = dict(zip(columns, found, strict=True))
     return tuple(
         _judge_one(errors, evidence[column], profile.name, kind, column, limit)
         for profile in PROFILES

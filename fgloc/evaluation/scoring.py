@@ -10,6 +10,7 @@ from fgloc.evaluation.consistency import anees_band, chi2_quantile, effective_sa
 from fgloc.evaluation.gaps import Spans, error_growth
 from fgloc.evaluation.metric import Better, Metric
 from fgloc.measurements import Array
+from fgloc.parallel import each
 from fgloc.timing import Instants, seconds_to_ns
 from fgloc.trajectory import Trajectory
 
@@ -53,7 +54,9 @@ def score_errors(
 ) -> dict[str, Metric]:
     """The metrics of `score`, from errors that are already at hand."""
     b = bootstrap or Bootstrap()
-    metrics = {**_horizontal(e, b), **_split(e, b), **_heading(e, b), **_consistency(e, b)}
+    metrics: dict[str, Metric] = {}
+    for part in each(lambda told: told(e, b), [_horizontal, _split, _heading, _consistency]):
+        metrics |= part
     metrics["scored_share"] = _scored_share(e)
     if outages is not None:
         metrics |= _in_outages(e, outages)
