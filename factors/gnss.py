@@ -36,11 +36,20 @@ def residual(
     bias_world_m: ArrayLike = (0.0, 0.0, 0.0),
 ) -> GnssResidual:  # fmt: skip
     """Predicted minus measured antenna position of poses (N, ...) and fixes (N, 3), ENU m."""
-    lever, flat = np.asarray(p_veh_ant_m, float), R_world_veh.reshape(-1, 3)  # for large products
-    arm, turned = (flat @ lever).reshape(-1, 3), (flat @ skew(-lever)).reshape(-1, 3, 3)
-    error = p_world_m + arm + np.asarray(bias_world_m, float) - z_world_m
+    lever = np.asarray(p_veh_ant_m, float)
+    turned = (R_world_veh.reshape(-1, 3) @ skew(-lever)).reshape(-1, 3, 3)  # one large product
     by_pose = np.concatenate([turned, R_world_veh], axis=-1)
-    return GnssResidual(error, by_pose, np.eye(3))
+    told = error(p_world_m, R_world_veh, z_world_m, lever, bias_world_m)
+    return GnssResidual(told, by_pose, np.eye(3))
+
+
+def error(
+    p_world_m: Array, R_world_veh: Array, z_world_m: Array, p_veh_ant_m: ArrayLike,
+    bias_world_m: ArrayLike = (0.0, 0.0, 0.0),
+) -> Array:  # fmt: skip
+    """That of `residual` alone, (N, 3)."""
+    arm = (R_world_veh.reshape(-1, 3) @ np.asarray(p_veh_ant_m, float)).reshape(-1, 3)
+    return np.asarray(p_world_m + arm + np.asarray(bias_world_m, float) - z_world_m)
 
 
 class LateResidual(NamedTuple):

@@ -84,6 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and give back the exit status."""
     gc.set_threshold(COLLECT_AFTER)
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # looking for them takes 40 ms
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # others would spin beside our own threads
     try:
         status = cli.main(
             list(sys.argv[1:] if arguments is None else arguments), "fgloc", standalone_mode=False

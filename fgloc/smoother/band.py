@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from fgloc.factors import fields
 from fgloc.measurements import Array
-from fgloc.parallel import each
+from fgloc.parallel import each, portions
 
-BLOCKS_AT_ONCE, PORTIONS_AT_ONCE, RUN = 2048, 4, 24
+BLOCKS_AT_ONCE, PORTIONS_AT_ONCE, RUN = 1488, 4, 24
 """The inverse is taken in portions of so many blocks, which fit the processor's cache, and of these
 so many side by side."""
 Index = NDArray[np.int64] | slice
@@ -139,8 +139,12 @@ class Band:
         if damping is not None:
             self._columns[:, 0].reshape(n, d)[:] += damping.blocks
             corner = corner + np.diag(damping.border)
-        for c in range(1, d):
-            self.panels[:, c, :c] = 0
+
+        def clear(rows: slice) -> None:
+            for c in range(1, d):
+                self.panels[rows, c, :c] = 0
+
+        each(clear, portions(n, 4 * BLOCKS_AT_ONCE))
         return BorderedFactor(Factor(self._columns, n), self.border, corner)
 
 
@@ -231,15 +235,18 @@ class Factor:
         """Of blocks in runs (runs, length, d, d), as if the last of each were the last of all:
         their S, and by what the S of the first block after the run comes in. Where the number does
         not divide, blocks that change nothing stand before the first."""
-        L = np.ascontiguousarray(self._panels[rows].swapaxes(-1, -2))
+        L = self._panels[rows].swapaxes(-1, -2)
         m, d = len(L), L.shape[-1]
         length = min(m, RUN)
         runs = -(-m // length)
-        S, C = np.zeros((runs, length, d, d)), np.zeros((runs, length, d, d))
-        C[:] = np.eye(d)
+        S, C = np.empty((runs, length, d, d)), np.empty((runs, length, d, d))
+        flat_S, flat_C, padding = S.reshape(-1, d, d), C.reshape(-1, d, d), runs * length - m
+        flat_S[:padding], flat_C[:padding] = 0, np.eye(d)
         inverse = np.ascontiguousarray(fields.rows(fields.inverse_of_lower(fields.of(L[:, :d]))))
-        S.reshape(-1, d, d)[-m:] = np.ascontiguousarray(inverse.swapaxes(-1, -2)) @ inverse
-        C.reshape(-1, d, d)[-m:] = L[:, d:] @ inverse
+        # A stack of its own: see `Band.add`.
+        back = np.ascontiguousarray(inverse.swapaxes(-1, -2))
+        np.matmul(back, inverse, out=flat_S[padding:])
+        np.matmul(L[:, d:], inverse, out=flat_C[padding:])
         for k in reversed(range(length - 1)):
             S[:, k] += C[:, k].swapaxes(-1, -2) @ S[:, k + 1] @ C[:, k]
             C[:, k] = C[:, k + 1] @ C[:, k]

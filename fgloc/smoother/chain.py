@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.errors import SolverError
-from fgloc.factors import imu, noise
+from fgloc.factors import fields, gnss, imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
 from fgloc.parallel import each
@@ -20,11 +20,12 @@ from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
 from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
 from fgloc.smoother.term import BIAS, POSE, VELOCITY, Step, Term
-from fgloc.smoother.terms import Terms, late_residual, position_residual
+from fgloc.smoother.terms import Terms, late_residual, measurement, position_residual, present
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 2048
-"""The drive is gone through in portions of so many keyframes, which fit the processor's cache."""
+BLOCKS_AT_ONCE = 1500
+"""The drive is gone through in portions of so many keyframes, which fit the processor's cache; no
+power of two, by which the columns of a field would all lie in the same few lines of it."""
 SECTIONS, LONG = 4, 8192
 """A chain from so many keyframes on is gone through in so many sections side by side."""
 
@@ -120,7 +121,7 @@ class Chain(Terms):
         cov = Known(few._factor(found, nothing), POSE).blocks
         at = np.searchsorted(keys, self.key_of[rows], side="right") - 1
         predicted = np.empty((len(rows), 3, 3))
-        for s in np.unique(self.source[rows]).tolist():
+        for s in present(self.source[rows]):
             own = self.source[rows] == s
             J = position_residual(self.model, states, rows[own], s).by_pose
             predicted[own] = J @ cov[at[own]] @ J.swapaxes(-1, -2)
@@ -199,7 +200,7 @@ class Chain(Terms):
     def covariances(self, states: States, robust: Robustness) -> Spread:
         """Of poses and posts, and of what the positions and the vehicle's own sources measure."""
         factor = self._factor(states, robust)
-        kinds = {s: np.flatnonzero(self.source == s) for s in np.unique(self.source).tolist()}
+        kinds = {s: np.flatnonzero(self.source == s) for s in self._sources_there}
         terms = {s: self._positions(states, s, rows, np.inf) for s, rows in kinds.items()}
         held = {name: self.held.term(name, states, at)
                 for name, at in self.held_keys(0, self.n).items()}  # fmt: skip
@@ -209,7 +210,7 @@ class Chain(Terms):
         known = Known(factor, at)
         predicted = np.empty((self.rows, 3, 3))
         for s, term in terms.items():
-            L = np.linalg.cholesky(self.model.cov_m2[kinds[s]])
+            L = fields.rows(fields.cholesky(fields.of(self.model.cov_m2[kinds[s]])))
             predicted[kinds[s]] = L @ known.predicted(term) @ L.swapaxes(-1, -2)
         by_source = {name: known.predicted(term) for name, term in held.items()}
         own = np.searchsorted(at, posts)
@@ -285,11 +286,13 @@ class Known:
 def position_errors(model: Model, states: States, rows: NDArray[np.int64]) -> Array:
     """Predicted minus measured positions (m, 3) of some rows, ENU m, lateness and all."""
     error, source = np.empty((len(rows), 3)), model.positions.source[rows]
-    for s in np.unique(source).tolist():
+    for s in present(source):
         own = np.flatnonzero(source == s)
-        told = position_residual(model, states, rows[own], s)
-        late = len(clocks.acting(model.config, model.sources[s].table)) and states.late_s.any()
-        error[own] = late_residual(model, states, rows[own], s, told).error if late else told.error
+        if len(clocks.acting(model.config, model.sources[s].table)) and states.late_s.any():
+            told = position_residual(model, states, rows[own], s)
+            error[own] = late_residual(model, states, rows[own], s, told).error
+        else:
+            error[own] = gnss.error(*measurement(model, states, rows[own], s))
     return error
 
 

@@ -6,6 +6,7 @@ begins. A bias of the IMU is shared by the keyframes of `bias_interval_s`. A slo
 of positions, if there is one, belongs to each of its rows.
 """
 
+from bisect import bisect_left
 from functools import cached_property
 
 import numpy as np
@@ -145,21 +146,31 @@ class Model:
         Preintegrated at zero bias, in the order of the epochs. Intervals with equally many output
         epochs are taken together.
         """
-        e, at = self.epochs, self.epoch_of
-        inner = np.diff(at) - 1
-        n = len(e) - 1
+        at, steps = self.epoch_of, np.diff(self.epoch_of)
+        counts = np.unique(steps).tolist()
+        if len(counts) == 1:  # they come in order
+            told = self._deltas(at[:-1], counts[0])
+            between = (c[:-1].swapaxes(0, 1).reshape(-1, *c.shape[2:]) for c in told)
+            return told.take(-1), imu.ImuDeltas(*between)
+        n = len(self.epochs) - 1
         out = imu.ImuDeltas(*(np.zeros((n, *shape)) for shape in ((9,), (9, 6), (9, 9), (), (6,))))
-        for count in np.unique(inner):
-            left, right = at[:-1][inner == count], at[1:][inner == count]
-            epochs = left + np.arange(1, count + 2)[:, None]
-            told = preintegrate(
-                e.accel_mps2, e.gyro_radps, e.dt_s, e.first_sample[left + 1],
-                e.first_sample[epochs + 1], *self._densities(right),
-            )  # fmt: skip
-            for column, values in zip(out, told, strict=True):
-                column[epochs - 1] = values
-        is_keyframe = e.is_keyframe[1:]
+        for count in counts:
+            left = at[:-1][steps == count]
+            epochs = left + np.arange(count)[:, None]
+            for column, values in zip(out, self._deltas(left, count), strict=True):
+                column[epochs] = values
+        is_keyframe = self.epochs.is_keyframe[1:]
         return out.take(is_keyframe), out.take(~is_keyframe)
+
+    def _deltas(self, left: NDArray[np.int64], count: int) -> imu.ImuDeltas:
+        """The IMU from some keyframes (n,) to each of the `count` epochs after them, the last of
+        which is the next keyframe: (count, n, ...)."""
+        e = self.epochs
+        epochs = left + np.arange(1, count + 1)[:, None]
+        return preintegrate(
+            e.accel_mps2, e.gyro_radps, e.dt_s, e.first_sample[left + 1],
+            e.first_sample[epochs + 1], *self._densities(epochs[-1]),
+        )  # fmt: skip
 
     def _densities(self, epochs: NDArray[np.int64]) -> tuple[Array, Array]:
         """Noise of accelerometer and gyro on the way to some epochs, in a gap or not: (n,), or
@@ -196,9 +207,9 @@ def _imu_noise(drive: Drive, config: SmoothConfig) -> ImuNoise:
 
 def _bias_grid(t_s: Array, interval_s: float) -> tuple[np.ndarray, Array]:
     """Index (n,) of each keyframe's bias, and the time in s (m,) at which each bias begins."""
-    index, starts = np.zeros(len(t_s), int), [0.0]
-    for j, t in enumerate(t_s.tolist()):
-        if t - starts[-1] >= interval_s - 1e-9:
-            starts.append(t)
-        index[j] = len(starts) - 1
-    return index, np.array(starts)
+    begins, times, last = [0], t_s.tolist(), len(t_s)
+    while (j := bisect_left(times, times[begins[-1]] + interval_s - 1e-9, begins[-1] + 1)) < last:
+        begins.append(j)
+    index = np.zeros(last, int)
+    index[begins[1:]] = 1
+    return np.cumsum(index), t_s[begins]

@@ -21,7 +21,7 @@ from fgloc.smoother.states import States
 APART_S = 1.0
 WORTH = 3
 """A sketch is worth its trouble where it has this many times fewer keyframes than the drive."""
-AT_ONCE = 1024
+AT_ONCE = 1000
 """So many intervals are put together at a time, which fit the processor's cache."""
 
 Keys = NDArray[np.int64]
@@ -81,11 +81,14 @@ def all_states(
     of = np.searchsorted(keys, np.arange(n), side="right") - 1
     R, p, v, bias = few.R[of], few.p[of], few.v[of], few.bias[of]
     deltas = deltas._replace(cov=deltas.cov[:, :0])  # which nobody needs here
-    for some, rows in _steps(keys):
-        inner = rows + 1 < keys[some + 1]
-        i = rows[inner]
-        told = imu.predict(deltas.take(i), R[i], p[i], v[i], bias[i], gravity_mps2)
-        R[i + 1], p[i + 1], v[i + 1] = told
+
+    def carry(keys: Keys) -> None:
+        for some, rows in _steps(keys):
+            i = rows[rows + 1 < keys[some + 1]]
+            told = imu.predict(deltas.take(i), R[i], p[i], v[i], bias[i], gravity_mps2)
+            R[i + 1], p[i + 1], v[i + 1] = told
+
+    each(carry, _portions(keys))
     first = np.searchsorted(bias_of[:n], bias_of[:n])
     return replace(few, R=R, p=p, v=v, bias=bias[first], slow=few.slow[of], posts=few.posts[of])
 

@@ -218,8 +218,7 @@ class Terms:
     @cached_property
     def _sources_there(self) -> list[int]:
         """The sources that any of the positions is of."""
-        there: list[int] = np.unique(self.source).tolist()
-        return there
+        return present(self.source)
 
     @cached_property
     def _bias_sigmas(self) -> Array:
@@ -239,10 +238,24 @@ class Terms:
                 for s in self.slow_at}  # fmt: skip
 
 
+def present(numbers: NDArray[np.int64]) -> list[int]:
+    """Which small numbers from 0 on occur among many, in order."""
+    there: list[int] = np.flatnonzero(np.bincount(numbers)).tolist()
+    return there
+
+
 def position_residual(
     model: Model, states: States, rows: NDArray[np.int64], s: int
 ) -> gnss.GnssResidual:
     """Of some positions, all of source s, as if they were on time."""
+    return gnss.residual(*measurement(model, states, rows, s))
+
+
+def measurement(
+    model: Model, states: States, rows: NDArray[np.int64], s: int
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Of some positions (m,), all of source s, what `gnss.residual` takes: the poses' positions and
+    attitudes, what was measured, the lever arm and the slow errors."""
     keys, z = model.key_of[rows], model.positions.z_world_m[rows]
     lever = model.levers[s]
     bias = np.zeros(3)
@@ -254,7 +267,7 @@ def position_residual(
         z = z + model.positions.by_survey(rows, model.sources[s].p_world_m) @ states.survey[s]
     if s in model.swaying.of_source:
         z = z + moved(model, states, s, model.positions.row[rows], keys)
-    return gnss.residual(states.p[keys], states.R[keys], z, lever, bias)
+    return states.p[keys], states.R[keys], z, lever, bias
 
 
 def late_residual(
