@@ -159,8 +159,14 @@ def predict(
     deltas: ImuDeltas, R: Array, p: Array, v: Array, bias: Array, gravity_mps2: float
 ) -> tuple[Array, Array, Array]:
     """States (N, ...) carried over the intervals: attitude, position in m, velocity in m/s."""
-    d = _corrected(deltas, bias)
-    T = deltas.dt_s[:, None]
+    return carried(corrected(deltas, bias), deltas.dt_s, R, p, v, gravity_mps2)
+
+
+def carried(
+    d: Array, dt_s: Array, R: Array, p: Array, v: Array, gravity_mps2: float
+) -> tuple[Array, Array, Array]:
+    """The same by deltas (N, 9) that are `corrected` for the bias, over times (N,)."""
+    T = dt_s[:, None]
     g = np.array([0.0, 0.0, -gravity_mps2])
     return (
         R @ exp_so3(d[:, :3]),
@@ -175,7 +181,7 @@ def transition(deltas: ImuDeltas, R: Array, bias: Array) -> tuple[Array, Array]:
     Errors are (rotation, position) in the vehicle frame, as GTSAM's Pose3, then velocity in the
     world; noise of the interval is `deltas.cov` turned by `velocity_to_world`.
     """
-    d = _corrected(deltas, bias)
+    d = corrected(deltas, bias)
     dR = exp_so3(d[:, :3])
     R_j = R @ dR
     back = dR.swapaxes(-1, -2)
@@ -208,7 +214,7 @@ def residual(
     States are (R_world_veh (N, 3, 3), p_world_m (N, 3), v_world_mps (N, 3)); bias is (N, 6).
     """
     (R_i, p_i, v_i), (R_j, p_j, v_j) = (tuple(map(of, state)) for state in (state_i, state_j))
-    theta, dp, dv = of(_corrected(deltas, bias)).reshape(3, 3, -1)
+    theta, dp, dv = of(corrected(deltas, bias)).reshape(3, 3, -1)
     T, g = deltas.dt_s, np.array([[0.0], [0.0], [-gravity_mps2]])
     theta_by_bias, dp_by_bias, dv_by_bias = of(deltas.by_bias).reshape(3, 3, 6, -1)
     dR, Jr = exp(theta)
@@ -237,7 +243,8 @@ def residual(
     return ImuResidual(rows(np.concatenate([turn, moved, sped_up])), np.ascontiguousarray(rows(J)))
 
 
-def _corrected(deltas: ImuDeltas, bias: ArrayLike) -> Array:
+def corrected(deltas: ImuDeltas, bias: ArrayLike) -> Array:
+    """Deltas (N, 9) to first order at another bias (N, 6)."""
     return deltas.delta + _rotate(deltas.by_bias, np.asarray(bias) - deltas.bias_hat)
 
 

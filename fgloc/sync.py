@@ -23,8 +23,10 @@ from fgloc.constraints import (
 )
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
+from fgloc.factors.fields import cross
 from fgloc.measurements import Array, ImuSamples, finite_rows
 from fgloc.motion import Motion, credit, kind_of, made_up, measured
+from fgloc.parallel import each
 from fgloc.positions import Positions, measured_positions, repeats
 from fgloc.references import References, find_references
 from fgloc.result import Event
@@ -267,10 +269,11 @@ def _steps(
     inside = (imu.t_ns > t_ns[0]) & (imu.t_ns < t_ns[-1])
     knots = _merged(imu.t_ns[inside], t_ns)
     at, have = elapsed_s(knots, int(t_ns[0])), elapsed_s(imu.t_ns, int(t_ns[0]))
-    force = np.stack([np.interp(at, have, column) for column in R_veh_imu @ imu.accel_mps2.T], -1)
-    rate = np.stack([np.interp(at, have, column) for column in R_veh_imu @ imu.gyro_radps.T], -1)
+    turned = [*(R_veh_imu @ imu.accel_mps2.T), *(R_veh_imu @ imu.gyro_radps.T)]
+    force, rate = np.split(np.array(each(lambda axis: np.interp(at, have, axis), turned)), 2)
     dt_s = np.diff(at)
-    gyro = (rate[1:] + rate[:-1]) / 2
-    end = force[1:] + np.cross(gyro * dt_s[:, None], force[1:])
+    gyro = (rate[:, 1:] + rate[:, :-1]) / 2
+    end = force[:, 1:] + cross(gyro * dt_s, force[:, 1:])
     ends = np.searchsorted(knots, t_ns)
-    return np.concatenate([[0], ends]), (force[:-1] + end) / 2, gyro, dt_s, rate[ends]
+    mean = (force[:, :-1] + end) / 2
+    return np.concatenate([[0], ends]), mean.T, gyro.T, dt_s, rate[:, ends].T
