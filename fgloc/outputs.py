@@ -15,14 +15,14 @@ from pydantic_core import to_json
 from fgloc.datasets.csv_table import format_rows
 from fgloc.drive import Drive
 from fgloc.errors import InputError
-from fgloc.evaluation import Judgement, judge, requirements, score_posts
+from fgloc.evaluation import Judgement, check_points, judge, requirements, score_posts
 from fgloc.evaluation.comparison import Comparison
 from fgloc.evaluation.metric import Metric
 from fgloc.evaluation.objects import score_objects
 from fgloc.frames import Origin
 from fgloc.measurements import Array
 from fgloc.node_health import format_nodes, node_rows
-from fgloc.parallel import portions
+from fgloc.parallel import each, portions
 from fgloc.posts import PostStates
 from fgloc.result import Event, Result
 from fgloc.timing import NS_PER_S
@@ -96,31 +96,46 @@ def write_result(
     InputError where it cannot be written or holds a drive.
     """
     check_folder(folder)
-    judged = None
     if drive.truth is not None:
-        judged = judge(result, drive.truth, score_from_s=score_from_s)
-    summary = summarize(drive, result, judged, score_from_s)
+        check_points(result.trajectory, drive.truth)  # before older files go
     with _writing(folder):
         _clear(folder)
-        if len(result.trajectory):
-            _write_trajectory(folder, TRAJECTORY, result.trajectory, drive, also)
-        if result.posts is not None:
-            _write_text(folder / POSTS, format_posts(result.posts, drive))
-        if drive.infrastructure.nodes:
-            _write_text(folder / NODES, format_nodes(node_rows(drive, result.summary)))
-        if result.smoothed is not None:
-            _write_trajectory(folder, SMOOTHED, result.smoothed, drive, also)
-        with (folder / VERDICTS).open("wb") as file:
-            file.writelines(_verdict_lines(result.verdicts))
-        if result.objects is not None:
-            from fgloc.datasets.object_tracks import write_tracks
-
-            write_tracks(folder / OBJECTS, result.objects)
+        # Numpy judges while tables become text: these two wait for each other little.
+        judged, _ = each(lambda part: part(), [
+            lambda: _judged(drive, result, score_from_s),
+            lambda: _write_tables(folder, drive, result, also),
+        ])  # fmt: skip
+        summary = summarize(drive, result, judged, score_from_s)
         _write_text(folder / CONFIG, format_config(drive, result))
         if report:
             _write_report(folder / REPORT, drive, result, judged)
         _write_text(folder / SUMMARY, format_json(summary))
     return summary
+
+
+def _judged(drive: Drive, result: Result, score_from_s: float) -> Judgement | None:
+    """What the drive's truth says of a result; None where it has none."""
+    if drive.truth is None:
+        return None
+    return judge(result, drive.truth, score_from_s=score_from_s)
+
+
+def _write_tables(folder: Path, drive: Drive, result: Result, also: Sequence[str]) -> None:
+    """Write the files of a result that do not depend on the truth."""
+    if len(result.trajectory):
+        _write_trajectory(folder, TRAJECTORY, result.trajectory, drive, also)
+    if result.posts is not None:
+        _write_text(folder / POSTS, format_posts(result.posts, drive))
+    if drive.infrastructure.nodes:
+        _write_text(folder / NODES, format_nodes(node_rows(drive, result.summary)))
+    if result.smoothed is not None:
+        _write_trajectory(folder, SMOOTHED, result.smoothed, drive, also)
+    with (folder / VERDICTS).open("wb") as file:
+        file.writelines(_verdict_lines(result.verdicts))
+    if result.objects is not None:
+        from fgloc.datasets.object_tracks import write_tracks
+
+        write_tracks(folder / OBJECTS, result.objects)
 
 
 def write_scores(folder: Path, summary: Mapping[str, Any]) -> None:

@@ -6,7 +6,7 @@ those columns: `score` and `score_errors` (named metrics), `error_growth` (outag
 `judge_requirements` says whether the errors meet what automated driving asks.
 """
 
-from fgloc.evaluation.against_truth import MAX_GAP_S, Errors, errors
+from fgloc.evaluation.against_truth import MAX_GAP_S, Errors, check_points, errors
 from fgloc.evaluation.bootstrap import Bootstrap, paired_difference, paired_ratio
 from fgloc.evaluation.consistency import anees_band, chi2_quantile, effective_samples, nees
 from fgloc.evaluation.gaps import Growth, Spans, error_growth, gnss_outages, outages, used_fixes_ns
@@ -27,6 +27,7 @@ __all__ = [
     "Requirement",
     "Spans",
     "anees_band",
+    "check_points",
     "chi2_quantile",
     "effective_samples",
     "error_growth",

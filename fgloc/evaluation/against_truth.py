@@ -87,6 +87,18 @@ class Errors:
         return self.p_world_m[:, 2]
 
 
+def check_points(estimate: Trajectory, truth: Trajectory) -> None:
+    """Raise InputError where the two tell of different points and neither has an attitude."""
+    own, point = estimate.p_veh_point_m, truth.p_veh_point_m
+    turns = estimate.R_world_veh is not None or truth.R_world_veh is not None
+    if not turns and not np.array_equal(own, point):
+        raise InputError(
+            f"the estimate is of the vehicle's point {own.tolist()} m and the truth of "
+            f"{point.tolist()} m, and neither has an attitude to carry it from one to the other; "
+            "give both for the same point, or an estimate with attitude"
+        )
+
+
 def errors(
     estimate: Trajectory,
     truth: Trajectory,
@@ -105,6 +117,7 @@ def errors(
 
     Raises InputError where the points differ and neither has an attitude.
     """
+    check_points(estimate, truth)
     if estimate.R_world_veh is None and truth.R_world_veh is not None:
         truth = truth.at_point(estimate.p_veh_point_m)
     keep, left_out = _covered(estimate, truth, score_from_ns, max_gap_s)
@@ -167,15 +180,8 @@ def _covered(
 
 def _at(estimate: Trajectory, truth: Trajectory) -> Trajectory:
     """The estimate at the truth's instants and point."""
-    point = truth.p_veh_point_m
-    if estimate.R_world_veh is None and not np.array_equal(point, estimate.p_veh_point_m):
-        raise InputError(
-            f"the estimate is of the vehicle's point {estimate.p_veh_point_m.tolist()} m and the "
-            f"truth of {point.tolist()} m, and neither has an attitude to carry it from one to "
-            "the other; give both for the same point, or an estimate with attitude"
-        )
     at = estimate.at(truth.t_ns) if len(truth) else estimate.take(slice(0, 0))
-    return at.at_point(point)
+    return at.at_point(truth.p_veh_point_m)
 
 
 def _headings(truth: Trajectory, min_speed_mps: float) -> tuple[Array, Array]:

@@ -89,8 +89,14 @@ def effective_samples(x: Array) -> float:
 def _autocorrelation(x: Array) -> Array | None:
     """Autocorrelation (N,) of a series at lags 0 to N-1; None where it is constant."""
     centred = x - x.mean() if len(x) else x
-    length = 1 << (2 * len(x)).bit_length()  # room for every lag, and a power of two is quick
-    covariance = np.fft.irfft(np.abs(np.fft.rfft(centred, length)) ** 2)[: len(x)]
+    length = _quick_length(max(2 * len(x), 1))  # room for every lag
+    covariance = np.fft.irfft(np.abs(np.fft.rfft(centred, length)) ** 2, length)[: len(x)]
     if len(x) == 0 or covariance[0] <= 1e-300 or np.ptp(x) == 0:
         return None
     return covariance / covariance[0]
+
+
+def _quick_length(n: int) -> int:
+    """The least length from n on of whose kind Fourier transforms are quick: few times a power of
+    two."""
+    return min(m << max(-(-n // m) - 1, 0).bit_length() for m in (1, 3, 5, 9))

@@ -78,8 +78,9 @@ class Band:
         for own, first, squares in _pieces(tuple(at.tolist()), d):
             rows = here if first < d else after
             place = slice(first % d, first % d + own.stop - own.start)
-            # A stack of its own: numpy takes much longer for a matrix times itself.
-            back = J[:, :, own].copy().swapaxes(-1, -2)
+            back = J[:, :, own].swapaxes(-1, -2)
+            if squares[0][0] == own:  # numpy takes much longer for a matrix times itself
+                back = J[:, :, own].copy().swapaxes(-1, -2)
             for other, further in squares:
                 if untouched and first < d:  # what is all zeros need not be read
                     np.matmul(back, J[:, :, other], out=self.panels[rows, place, further])
