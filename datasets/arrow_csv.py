@@ -4,12 +4,16 @@ It reads the same numbers to the last bit, but what it thinks of a file that is 
 is for others to say: here such a file is not read.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from fgloc.datasets.columns import Columns, is_integer
+from fgloc.parallel import each
 
+AT_ONCE = 1 << 24
+"""Bytes that are parsed at a time, on one processor."""
 _HEXADECIMAL = b"x", b"X"
 
 
@@ -24,15 +28,28 @@ def parse(raw: bytes, start: int, names: list[str]) -> Columns | None:
     except ImportError:
         return None
     pool = pyarrow.system_memory_pool()  # its own would keep what it has had
-    lines = pyarrow.py_buffer(memoryview(raw)[start:])
-    try:
+
+    def columns(part: slice) -> Columns:
+        lines = pyarrow.py_buffer(memoryview(raw)[part])
         table = csv.read_csv(lines, *_strictly(csv, names), memory_pool=pool)
+        return {name: np.array(table.column(name)) for name in names}
+
+    try:
+        parts = each(columns, _of_whole_lines(raw, start))
     except pyarrow.ArrowInvalid:
         return None
-    columns = {name: np.array(table.column(name)) for name in names}
-    del table, lines
     pool.release_unused()
-    return columns
+    if len(parts) == 1:
+        return parts[0]
+    return {name: np.concatenate([part.pop(name) for part in parts]) for name in names}
+
+
+def _of_whole_lines(raw: bytes, start: int) -> Iterator[slice]:
+    """Parts of about `AT_ONCE` bytes, from a byte on, that end with a line."""
+    while start < len(raw):
+        stop = raw.find(b"\n", min(start + AT_ONCE, len(raw))) + 1 or len(raw)
+        yield slice(start, stop)
+        start = stop
 
 
 def _strictly(csv: Any, names: list[str]) -> tuple[Any, Any, Any]:

@@ -93,9 +93,10 @@ class Trajectory:
         arm_world = (self.attitude().reshape(-1, 3) @ lever).reshape(-1, 3)
         cov = self.cov
         if cov is not None:
-            J = np.broadcast_to(np.eye(6), (len(self), 6, 6)).copy()
-            J[:, :3, 3:] = -frames.skew(arm_world)
-            cov = sealed(J @ cov @ J.swapaxes(-1, -2))
+            W, cov = frames.skew(arm_world), cov.copy()  # J cov J' of J = [[I, -W], [0, I]]
+            cov[:, :3] -= W @ cov[:, 3:]
+            cov[:, :, :3] -= cov[:, :, 3:] @ W.swapaxes(-1, -2)
+            cov = sealed(cov)
         return replace(
             self, p_world_m=sealed(self.p_world_m + arm_world), v_world_mps=None, cov=cov,
             p_veh_point_m=np.asarray(p_veh_point_m, float),

@@ -1,6 +1,7 @@
 """The commands that estimate and score, end to end: what they write and say."""
 
 import csv
+import dataclasses
 import json
 import re
 import shutil
@@ -15,7 +16,16 @@ from fgloc.config import load_config
 from fgloc.datasets import open_drive
 from fgloc.datasets.drive_folder import read_drive
 from fgloc.datasets.trajectory_files import read_trajectory, write_trajectory_csv
-from fgloc.outputs import FILES, NODES, OBJECTS, POSTS, VERDICT_COLUMNS, format_verdicts
+from fgloc.errors import InputError
+from fgloc.outputs import (
+    FILES,
+    NODES,
+    OBJECTS,
+    POSTS,
+    VERDICT_COLUMNS,
+    format_verdicts,
+    write_result,
+)
 from fgloc.verdicts import SourceVerdicts, Verdict
 
 PLAIN_FILES = {"trajectory.tum", "trajectory.csv", "trajectory.geojson", "verdicts.csv",
@@ -216,6 +226,36 @@ def test_verdict_cells_are_quoted_where_they_must_be(tmp_path):
     assert rows[1]["reason"] == 'too far, said "the gate"'
     assert (rows[1]["nis"], rows[1]["dof"], rows[1]["threshold"]) == ("0.1", "3", "inf")
     assert (rows[0]["nis"], rows[0]["dof"], rows[0]["threshold"]) == ("", "0", "")
+
+
+def test_verdicts_are_written_row_by_row_whatever_neighbours_have_in_common(tmp_path):
+    table = open_drive("mems-rtk").gnss.take(slice(0, 40))
+    verdicts = SourceVerdicts.of("gnss", table, Verdict.USED)
+    rng = np.random.default_rng(0)
+    kinds = [(Verdict.USED, ""), (Verdict.DOWN_WEIGHTED, "huber weight 0.9"), (Verdict.GATED, "x")]
+    for row, kind in enumerate(rng.integers(0, 3, 40).tolist()):
+        verdicts.set(row, *kinds[kind])
+    verdicts.nis[:] = np.where(rng.random(40) < 0.3, np.nan, rng.random(40))
+    verdicts.dof[:] = rng.integers(2, 4, 40)
+    verdicts.threshold[:] = rng.choice([np.nan, np.inf, 7.8, 9.2], 40)
+    (tmp_path / "verdicts.csv").write_text(format_verdicts({"gnss": verdicts}))
+    for i, row in enumerate(verdict_rows(tmp_path)):
+        assert int(row["t_ns"]) == verdicts.t_ns[i]
+        assert (row["verdict"], row["reason"]) == (verdicts.verdict[i], verdicts.reason[i])
+        assert int(row["dof"]) == verdicts.dof[i]
+        np.testing.assert_equal(float(row["nis"] or "nan"), verdicts.nis[i])
+        np.testing.assert_equal(float(row["threshold"] or "nan"), verdicts.threshold[i])
+
+
+def test_an_estimate_that_cannot_be_compared_leaves_an_older_result_alone(tmp_path):
+    drive = open_drive("mems-rtk")
+    result = api.baseline(drive, "raw:gnss")
+    write_result(tmp_path, drive, result, report=False)
+    older = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    truth = dataclasses.replace(drive.truth, R_world_veh=None, p_veh_point_m=np.array([9.0, 0, 0]))
+    with pytest.raises(InputError, match="neither has an attitude"):
+        write_result(tmp_path, dataclasses.replace(drive, truth=truth), result, report=False)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == older
 
 
 def test_on_a_terminal_the_tables_are_the_same(monkeypatch, capsys):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fgloc.datasets import csv_table
+from fgloc.datasets import arrow_csv, csv_table
 from fgloc.datasets.columns import Group, Layout
 from fgloc.datasets.csv_table import format_csv, read_csv, write_csv
 from fgloc.datasets.parquet_table import read_table, write_table
@@ -111,10 +111,12 @@ def test_it_does_not_matter_in_what_portions_a_file_is_parsed(csv, monkeypatch, 
     assert table["north_m"].tolist() == [-k / 7 for k in range(rows)]
 
 
-@pytest.fixture(params=["arrow", "json"])
+@pytest.fixture(params=["arrow", "arrow, line by line", "json"])
 def large(request, monkeypatch):
-    """Every file counts as large; Arrow is installed or not."""
+    """Every file counts as large; Arrow is installed or not, and takes all at once or not."""
     monkeypatch.setattr(csv_table, "_LARGE", 0)
+    if request.param == "arrow, line by line":
+        monkeypatch.setattr(arrow_csv, "AT_ONCE", 1)
     if request.param == "json":
         monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
 

@@ -11,6 +11,7 @@ from fgloc.config import load_config
 from fgloc.errors import DriveError
 from fgloc.smoother.graph import GraphModel, State
 from fgloc.smoother.model import POSITION_SIGMA_M
+from fgloc.smoother.sketch import few_model
 from fgloc.sync import plan
 
 
@@ -106,6 +107,19 @@ def test_output_epochs_hold_the_sums_up_to_them(model_of):
     interval = model.interval(5)
     assert [round(part.dt_s, 9) for part in interval.inner] == [0.02, 0.04, 0.06, 0.08]
     assert interval.pim.deltaTij() == pytest.approx(0.1)
+
+
+def test_intervals_are_the_same_whether_all_have_as_many_output_epochs_or_not(model_of):
+    model = model_of(output_interval_s=0.02)
+    alike = np.ones(len(model), bool)
+    alike[[6, 7]] = False  # the intervals that end there become one
+    few = few_model(model, np.delete(np.arange(len(model)), 6), np.zeros(0, bool))
+    (whole, inner), (merged, more) = model.deltas(), few.deltas()
+    for column, other in zip(whole, merged, strict=True):
+        np.testing.assert_allclose(column[alike[1:]], np.delete(other, 5, axis=0), atol=1e-14)
+    for column, other in zip(inner, more, strict=True):  # four between two keyframes
+        np.testing.assert_allclose(column[:24], other[:24], atol=1e-14)
+        np.testing.assert_allclose(column[28:], other[29:], atol=1e-14)
 
 
 def test_noise_of_the_configuration_goes_before_that_of_the_rig(model_of):
