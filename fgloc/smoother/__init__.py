@@ -138,9 +138,11 @@ def _batch(drive: Drive, config: SmoothConfig) -> Result:
         start_ns = int(model.t_ns[0])
         events += [Event(start_ns, "clock", one["text"]) for one in summary["clock"].values()]
     verdicts = clocks.stamped_as_read(model.plan.verdicts, drive)
+    log, posts = run.log, run.posts
+    del run  # a long drive's factor needs more memory than all that follows
     return Result(
-        run.log.trajectory(model), verdicts, summary, summary["method"], causal=False,
-        events=_in_order(tuple(events)), config=_provenance(config), posts=run.posts,
+        log.trajectory(model), verdicts, summary, summary["method"], causal=False,
+        events=_in_order(tuple(events)), config=_provenance(config), posts=posts,
     )  # fmt: skip
 
 

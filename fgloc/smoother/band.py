@@ -177,6 +177,8 @@ class BorderedFactor:
     def inverse_blocks(self, keep: NDArray[np.int64]) -> Array:
         """Rows and columns `keep` (q,) of the n diagonal blocks of the inverse, (n, q, q)."""
         own = self._factor.inverse_blocks(keep)
+        if not len(self.cov_border):
+            return own
         carried = self._carried[:, keep]
         return own + carried @ self.cov_border @ carried.swapaxes(-1, -2)
 

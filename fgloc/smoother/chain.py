@@ -12,7 +12,7 @@ from fgloc.errors import SolverError
 from fgloc.factors import fields, gnss, imu, noise
 from fgloc.frames import exp_so3
 from fgloc.measurements import Array
-from fgloc.parallel import each
+from fgloc.parallel import each, portions
 from fgloc.smoother import clocks, sketch
 from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector, square
 from fgloc.smoother.guess import misfit
@@ -26,6 +26,8 @@ from fgloc.timing import iso_utc
 BLOCKS_AT_ONCE = 1500
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache; no
 power of two, by which the columns of a field would all lie in the same few lines of it."""
+POSITIONS_AT_ONCE = 8000
+"""So many positions are predicted at a time."""
 SECTIONS, LONG = 4, 8192
 """A chain from so many keyframes on is gone through in so many sections side by side."""
 
@@ -201,17 +203,23 @@ class Chain(Terms):
         """Of poses and posts, and of what the positions and the vehicle's own sources measure."""
         factor = self._factor(states, robust)
         kinds = {s: np.flatnonzero(self.source == s) for s in self._sources_there}
-        terms = {s: self._positions(states, s, rows, np.inf) for s, rows in kinds.items()}
+        one = [self._positions(states, s, rows[:1], np.inf) for s, rows in kinds.items()]
         held = {name: self.held.term(name, states, at)
                 for name, at in self.held_keys(0, self.n).items()}  # fmt: skip
         posts = np.arange(self.post_first, self.width)
-        told = (term.at for term in (*terms.values(), *held.values()))
+        told = (term.at for term in (*one, *held.values()))
         at = np.unique(np.concatenate([POSE, posts, *told]))
         known = Known(factor, at)
         predicted = np.empty((self.rows, 3, 3))
-        for s, term in terms.items():
-            L = fields.rows(fields.cholesky(fields.of(self.model.cov_m2[kinds[s]])))
-            predicted[kinds[s]] = L @ known.predicted(term) @ L.swapaxes(-1, -2)
+
+        def predict(part: tuple[int, NDArray[np.int64]]) -> None:
+            s, rows = part
+            L = fields.rows(fields.cholesky(fields.of(self.model.cov_m2[rows])))
+            told = known.predicted(self._positions(states, s, rows, np.inf))
+            predicted[rows] = L @ told @ L.swapaxes(-1, -2)
+
+        each(predict, [(s, rows[part]) for s, rows in kinds.items()
+                       for part in portions(len(rows), POSITIONS_AT_ONCE)])  # fmt: skip
         by_source = {name: known.predicted(term) for name, term in held.items()}
         own = np.searchsorted(at, posts)
         return Spread(

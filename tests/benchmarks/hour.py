@@ -43,8 +43,7 @@ STAGES = {
     "preintegrate": ("fgloc.smoother.model", "Model.deltas"),
     "solve": ("fgloc.smoother.chain", "Chain.optimum"),
     "covariances": ("fgloc.smoother.chain", "Chain.covariances"),
-    "score": ("fgloc.outputs", "judge"),
-    "write": ("fgloc.outputs", "write_result"),
+    "score, write": ("fgloc.outputs", "write_result"),
 }
 """Each stage's function; what another stage spends inside it is not counted twice."""
 
