@@ -78,11 +78,23 @@ def _plan(centre: Array, size: Array, yaw: Array) -> Array:
 
 
 def _shared(a: Array, b: Array) -> float:
-    """Area of what two convex polygons (4, 2) share; OpenCV has single precision, so about a."""
-    import cv2
+    """Area of what two convex polygons (4, 2) share, both counter-clockwise.
 
+    The first is cut along each edge of the second (Sutherland and Hodgman 1974). OpenCV does it in
+    single precision, and gives the larger for the smaller where edges all but meet.
+    """
     origin = a.mean(0)
-    area, _ = cv2.intersectConvexConvex(
-        (a - origin).astype(np.float32), (b - origin).astype(np.float32)
-    )
-    return max(float(area), 0.0)
+    left, corners = (a - origin).tolist(), (b - origin).tolist()
+    for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True):
+        inside = [(x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) for x, y in left]
+        kept = []
+        for k, (x, y) in enumerate(left):
+            before, now = inside[k - 1], inside[k]
+            if (before < 0) != (now < 0):
+                share = before / (before - now)
+                kept.append([p + share * (q - p) for p, q in zip(left[k - 1], (x, y), strict=True)])
+            if now >= 0:
+                kept.append([x, y])
+        left = kept
+    edges = zip(left, left[1:] + left[:1], strict=True)
+    return max(sum(p[0] * q[1] - q[0] * p[1] for p, q in edges) / 2, 0.0)

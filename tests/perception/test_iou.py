@@ -38,6 +38,7 @@ def test_a_box_that_is_not_in_the_image_overlaps_none():
         (cuboid(yaw=np.pi / 2), 4 / 12),
         (cuboid(size=(2.0, 1.0, 1.5)), 0.25),
         (cuboid(x=2.0, y=1.0, size=(2.0, 2.0, 1.5)), 1 / 11),
+        (cuboid(size=(1.0, 2.00001, 1.5)), 2 / 8.00001),
     ],
 )  # fmt: skip
 def test_cuboids_share_plan_times_height(other, expected):
