@@ -14,8 +14,9 @@ from fgloc.frames import exp_so3
 from fgloc.measurements import Array
 from fgloc.parallel import each, portions
 from fgloc.smoother import clocks, sketch
-from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector, square
+from fgloc.smoother.band import Band, BorderedFactor, Vector
 from fgloc.smoother.guess import misfit
+from fgloc.smoother.half import NotPositiveError, square
 from fgloc.smoother.model import Model
 from fgloc.smoother.newton import NEAR, Curvature, Descent
 from fgloc.smoother.states import Robustness, SharedSigmas, Spread, States
@@ -178,9 +179,8 @@ class Chain(Terms):
             return sum(_add(to, term, told) for term in self.at(states, robust, first, stop))
 
         def section(blocks: range) -> tuple[Band, float]:
-            part, firsts = band.section(), reversed(blocks[::BLOCKS_AT_ONCE])  # as `Band` likes it
-            stop = blocks.stop
-            return part, sum(add(part, j, min(j + BLOCKS_AT_ONCE, stop)) for j in firsts)
+            part, some = band.section(), band.outward(blocks, BLOCKS_AT_ONCE)
+            return part, sum(add(part, own.start, own.stop) for own in some)
 
         cost, ends = 0.0, _sections(self.n)
         # The last of a section is tied to the next one: it comes when all are done.

@@ -4,7 +4,8 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from fgloc.smoother.band import Band, BorderedFactor, NotPositiveError, Vector
+from fgloc.smoother.band import Band, BorderedFactor, Vector
+from fgloc.smoother.half import NotPositiveError
 from fgloc.smoother.states import Robustness, States
 
 Curvature = Literal["newton", "weights"]

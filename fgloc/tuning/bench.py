@@ -11,10 +11,11 @@ from fgloc.drive import Drive, ImuNoise, Noise
 from fgloc.factors.imu import ImuDeltas
 from fgloc.measurements import Array
 from fgloc.smoother import clocks
-from fgloc.smoother.band import BorderedFactor, NotPositiveError
+from fgloc.smoother.band import BorderedFactor
 from fgloc.smoother.batch import run_batch
 from fgloc.smoother.chain import Chain, position_errors
 from fgloc.smoother.guess import guess, yaw_by_turns
+from fgloc.smoother.half import NotPositiveError
 from fgloc.smoother.model import Model
 from fgloc.smoother.states import Robustness, States
 from fgloc.smoother.terms import POSE

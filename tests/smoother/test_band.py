@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from fgloc.smoother import band
-from fgloc.smoother.band import Band, NotPositiveError, Vector
+from fgloc.smoother import band, half
+from fgloc.smoother.band import Band, Vector
+from fgloc.smoother.half import NotPositiveError
 
 TERMS = (
     (range(8), [0, 1, 3, 4, 5, 6, 7]),
@@ -54,7 +55,7 @@ def test_damping_lies_on_the_diagonal_of_every_block_and_of_the_border(systems):
 @pytest.mark.parametrize("at_once", [1, 2, 5, 7, 100])
 def test_blocks_of_the_inverse_are_those_of_the_dense_one(systems, monkeypatch, at_once):
     banded, H, _ = systems
-    monkeypatch.setattr(band, "BLOCKS_AT_ONCE", at_once)
+    monkeypatch.setattr(half, "BLOCKS_AT_ONCE", at_once)
     keep, inverse, factor = np.array([0, 3]), np.linalg.inv(H), banded.factor()
     blocks = factor.inverse_blocks(keep)
     for j in range(9):
@@ -80,16 +81,41 @@ def test_steps_and_portions_from_either_end_add_up_to_the_same(portions):
     gradient = np.einsum("nm,nmq->nq", change / sigma, J)
     once.add(np.arange(8), np.append(at, 4 + at), J, gradient)
     once.add(np.arange(8), np.arange(8), other, slope)
-    np.testing.assert_allclose(there.panels, once.panels, atol=1e-12)
+    damping, right = Vector(np.ones(4), np.zeros(0)), Vector(rng.normal(size=(9, 4)), np.zeros(0))
     np.testing.assert_allclose(flat(there.gradient), flat(once.gradient), atol=1e-12)
+    a, b = (flat(one.factor(damping).solve(right)) for one in (there, once))
+    np.testing.assert_allclose(a, b, atol=1e-12)
 
 
-def test_what_nothing_holds_is_named():
-    banded = Band(3, 2)
-    banded.add(np.array([0, 2]), np.arange(2), np.tile(np.eye(2), (2, 1, 1)), np.zeros((2, 2)))
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+@pytest.mark.parametrize("long", [0, 1000])
+def test_a_chain_of_any_length_is_solved_from_both_ends(monkeypatch, n, long):
+    monkeypatch.setattr(band, "LONG", long)
+    rng, d = np.random.default_rng(n), 3
+    banded, H = Band(n, d), np.zeros((n * d, n * d))
+    for j in range(n):
+        at = np.arange(2 * d if j < n - 1 else d)
+        J = rng.normal(size=(1, 6, len(at)))
+        banded.add(np.array([j]), at, J, np.zeros((1, len(at))))
+        own = slice(j * d, j * d + len(at))
+        H[own, own] += J[0].T @ J[0]
+    factor, keep, right = banded.factor(), np.arange(d), rng.normal(size=(n, d))
+    inverse = np.linalg.inv(H)
+    x = factor.solve(Vector(right, np.zeros(0)))
+    np.testing.assert_allclose(x.blocks.ravel(), inverse @ right.ravel(), rtol=1e-9)
+    blocks = [inverse[j : j + d, j : j + d] for j in range(0, n * d, d)]
+    np.testing.assert_allclose(factor.inverse_blocks(keep), blocks, rtol=1e-9)
+    assert factor.log_determinant == pytest.approx(np.linalg.slogdet(H)[1])
+
+
+@pytest.mark.parametrize("unknown", range(10))
+def test_what_nothing_holds_is_named(unknown):
+    banded, J = Band(5, 2), np.tile(np.eye(2), (5, 1, 1))
+    J[unknown // 2, :, unknown % 2] = 0
+    banded.add(np.arange(5), np.arange(2), J, np.zeros((5, 2)))
     with pytest.raises(NotPositiveError) as caught:
         banded.factor()
-    assert caught.value.unknown == 2
+    assert caught.value.unknown == unknown
 
 
 def test_a_border_that_nothing_holds_is_named():
@@ -98,15 +124,3 @@ def test_a_border_that_nothing_holds_is_named():
     with pytest.raises(NotPositiveError) as caught:
         banded.factor()
     assert caught.value.unknown == 6
-
-
-def test_lapack_is_found_in_its_usual_place_where_it_cannot_be_loaded_by_itself(monkeypatch):
-    from scipy.linalg import lapack
-
-    assert band._lapack() is not lapack
-    band._lapack.cache_clear()
-    monkeypatch.setattr(band.PathFinder, "find_spec", lambda *asked: None)
-    try:
-        assert band._lapack() is lapack
-    finally:
-        band._lapack.cache_clear()
