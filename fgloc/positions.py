@@ -218,10 +218,11 @@ def _candidates(
 
 def _within_reach(drive: Drive, seen: NodeDetections) -> NDArray[np.bool_]:
     """(N,) bool: where the car may be, by the last fix before, received or not."""
-    fixes = drive.gnss.take(finite_rows(drive.gnss.p_world_ant_m))
-    last = np.maximum(np.searchsorted(fixes.t_ns, seen.t_ns, side="right") - 1, 0)
-    age_s = np.abs(elapsed_s(seen.t_ns, 0) - elapsed_s(fixes.t_ns[last], 0))
-    apart = world_positions(drive, seen) - fixes.p_world_ant_m[last][:, :2]
+    told = finite_rows(drive.gnss.p_world_ant_m)
+    t_ns, place_m = drive.gnss.t_ns[told], drive.gnss.p_world_ant_m[told, :2]
+    last = np.maximum(np.searchsorted(t_ns, seen.t_ns, side="right") - 1, 0)
+    age_s = np.abs(elapsed_s(seen.t_ns, 0) - elapsed_s(t_ns[last], 0))
+    apart = world_positions(drive, seen) - place_m[last]
     return np.asarray(np.hypot(*apart.T) <= REACH_M + REACH_MPS * age_s)
 
 
@@ -306,19 +307,23 @@ def horizontal_cov_m2(
     node: Node, seen: NodeDetections, config: DetectionConfig, up_m: float
 ) -> Array:
     """Covariance (N, 2, 2), East and North, of what one node sees at a height of `up_m`."""
-    stated = seen.cov_node_m2
+    cov = seen.cov_node_m2
     if config.covariance != "stated":
-        stated = np.full_like(stated, np.nan)
+        cov = _law_m2(node, seen, config, up_m)
+    elif (untold := np.isnan(cov)).any():
+        cov = np.where(untold, _law_m2(node, seen, config, up_m), cov)
+    return node.R_world_node @ cov @ node.R_world_node.T
+
+
+def _law_m2(node: Node, seen: NodeDetections, config: DetectionConfig, up_m: float) -> Array:
+    """Covariance (N, 2, 2) along the node's axes that a documented law gives."""
     distance = np.maximum(np.hypot(*seen.p_node_m.T), 1e-6)
     if config.covariance == "khamooshi2023":
         slant = np.hypot(distance, node.p_world_m[2] - up_m)
-        law = detection.khamooshi2023_sigma_m(slant)[:, None, None] ** 2 * np.eye(2)
-    else:
-        along = detection.lee2021_sigma_m(distance, config.floor_m)
-        sight = seen.p_node_m + np.where(distance > 1e-6, 0.0, 1e-6)[:, None]
-        law = detection.line_of_sight_cov_m2(sight, along, detection.LEE2021_ACROSS_M)
-    cov = np.where(np.isnan(stated), law, stated)
-    return node.R_world_node @ cov @ node.R_world_node.T
+        return detection.khamooshi2023_sigma_m(slant)[:, None, None] ** 2 * np.eye(2)
+    along = detection.lee2021_sigma_m(distance, config.floor_m)
+    sight = seen.p_node_m + np.where(distance > 1e-6, 0.0, 1e-6)[:, None]
+    return detection.line_of_sight_cov_m2(sight, along, detection.LEE2021_ACROSS_M)
 
 
 def _joined(parts: list[Positions]) -> Positions:
