@@ -21,7 +21,7 @@ MIN_SPEED_MPS = 1.0
 """Slower than this a truth without attitude has no direction."""
 MIN_YAW_SPEED_MPS = 4.0
 """Slower than this the course of a truth without attitude is too rough to judge a heading by."""
-AT_ONCE = 8192
+AT_ONCE = 8000
 """So many rows of the truth are gone through at a time."""
 _COURSE_SPAN_S = 0.5
 """Truth without velocity is differenced over this time, or noise of close rows would turn it."""

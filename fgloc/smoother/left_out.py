@@ -13,7 +13,7 @@ from fgloc.parallel import each, portions
 ALONE = 1e-9
 """A measurement that leaves the rest of the graph less than this share of its own information is
 all that holds its state."""
-AT_ONCE = 8192
+AT_ONCE = 8000
 """So many measurements are left out at a time."""
 
 
