@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fgloc import frames
+from fgloc.arrays import Array, sealed
 from fgloc.datasets.columns import Columns, Group, Layout, place
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.measurements import Array, sealed
 from fgloc.timing import Instants
 from fgloc.trajectory import Trajectory
 

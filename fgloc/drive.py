@@ -7,19 +7,11 @@ from typing import Self, TypeVar
 
 import numpy as np
 
+from fgloc.arrays import Array, freeze
 from fgloc.errors import DriveError
 from fgloc.frames import Origin, is_rotation
 from fgloc.infrastructure import NO_HEIGHT, Infrastructure
-from fgloc.measurements import (
-    Array,
-    GnssFixes,
-    ImuSamples,
-    NodeDetections,
-    NodePoses,
-    ObjectTruth,
-    Table,
-    freeze,
-)
+from fgloc.measurements import GnssFixes, ImuSamples, NodeDetections, NodePoses, ObjectTruth, Table
 from fgloc.posts import PostStates
 from fgloc.trajectory import Trajectory
 

@@ -13,9 +13,9 @@ import numpy as np
 import pymap3d
 from numpy.typing import ArrayLike, NDArray
 
+from fgloc.arrays import Array
 from fgloc.errors import InputError
 
-Array = NDArray[np.float64]
 Datum = Literal["ellipsoid", "msl"]
 
 R_FLU_FRD = np.diag([1.0, -1.0, -1.0])

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, freeze
 from fgloc.errors import DriveError
-from fgloc.measurements import Array, freeze
 
 _LEAST = {
     "yaw_rad": -math.inf, "sigma_position_m": 0.0, "sigma_yaw_rad": 0.0, "sigma_level_rad": 0.0,

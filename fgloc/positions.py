@@ -11,13 +11,14 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.config import DetectionConfig, GnssConfig, SmoothConfig
 from fgloc.drive import Drive, GnssBias
 from fgloc.errors import DriveError
 from fgloc.factors import detection
 from fgloc.factors.noise import positive_definite
 from fgloc.infrastructure import Node
-from fgloc.measurements import PEDESTRIAN, Array, GnssFixes, NodeDetections, finite_rows
+from fgloc.measurements import PEDESTRIAN, GnssFixes, NodeDetections
 from fgloc.timing import Instants, elapsed_s
 from fgloc.verdicts import SourceVerdicts, Verdict
 

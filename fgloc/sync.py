@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.config import SmoothConfig
 from fgloc.constraints import (
     NON_HOLONOMIC,
@@ -24,7 +25,7 @@ from fgloc.constraints import (
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
 from fgloc.factors.fields import cross
-from fgloc.measurements import Array, ImuSamples, finite_rows
+from fgloc.measurements import ImuSamples
 from fgloc.motion import Motion, credit, kind_of, made_up, measured
 from fgloc.parallel import each
 from fgloc.positions import Positions, measured_positions, repeats

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fgloc import frames
+from fgloc.arrays import Array, freeze, freeze_ns, sealed
 from fgloc.errors import InputError
-from fgloc.measurements import Array, freeze, freeze_ns, sealed
 from fgloc.timing import NS_PER_S, Instants
 
 

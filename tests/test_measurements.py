@@ -20,7 +20,6 @@ from fgloc.measurements import (
     SteeringAngles,
     UserFixes,
     WheelSpeeds,
-    freeze,
 )
 
 INT64 = np.iinfo(np.int64)
@@ -139,12 +138,6 @@ def test_a_table_does_not_follow_the_array_behind_a_read_only_view():
     table = wheel(speed_mps=view)
     speed_mps[0] = 99.0
     assert table.speed_mps[0] == 1.0
-
-
-def test_what_is_frozen_already_is_shared_and_not_copied():
-    frozen = freeze([1.0, 2.0])
-    assert freeze(frozen) is frozen
-    assert np.shares_memory(freeze(frozen[1:]), frozen)
 
 
 @pytest.mark.parametrize("index", [slice(1, None), [False, True], np.array([1])])

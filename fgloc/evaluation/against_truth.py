@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from fgloc import frames
+from fgloc.arrays import Array, freeze
 from fgloc.errors import InputError
 from fgloc.evaluation.consistency import leading_nees
-from fgloc.measurements import Array, freeze
 from fgloc.parallel import each, portions
 from fgloc.timing import Instants, elapsed_s
 from fgloc.trajectory import Trajectory

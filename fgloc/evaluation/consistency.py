@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fgloc import chi_square
+from fgloc.arrays import Array, finite_rows
 from fgloc.errors import InputError
 from fgloc.factors import fields
-from fgloc.measurements import Array, finite_rows
 
 _SINGULAR = 1e-12
 """Smallest eigenvalue of a correlation matrix that still counts as positive definite."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgloc.arrays import Array, freeze
 from fgloc.evaluation.against_truth import Errors
-from fgloc.measurements import Array, freeze
 from fgloc.result import Result
 from fgloc.timing import NS_PER_S, Instants
 from fgloc.verdicts import Verdict, Verdicts

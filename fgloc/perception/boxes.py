@@ -11,9 +11,10 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, freeze
 from fgloc.errors import InputError
 from fgloc.frames import yaw_matrix
-from fgloc.measurements import PEDESTRIAN, UNKNOWN, VEHICLE, Array, check_symmetric, freeze
+from fgloc.measurements import PEDESTRIAN, UNKNOWN, VEHICLE, check_symmetric
 
 KINDS = (UNKNOWN, VEHICLE, PEDESTRIAN)
 

@@ -5,10 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgloc.arrays import Array, freeze_ns
 from fgloc.errors import InputError, nearest
 from fgloc.factors.corners import code_size_px
 from fgloc.infrastructure import Sign
-from fgloc.measurements import Array, SmartCodeSightings, freeze_ns
+from fgloc.measurements import SmartCodeSightings
 from fgloc.perception.smart_code_reader import Read
 
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgloc.arrays import Array, freeze
 from fgloc.errors import InputError
 from fgloc.frames import is_rotation
 from fgloc.infrastructure import Node
-from fgloc.measurements import Array, freeze
 
 UNDISTORTED = (0.0, 0.0, 0.0, 0.0, 0.0)
 _ROTATION_TOLERANCE = 1e-5  # a matrix written with six decimals is one

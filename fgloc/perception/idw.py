@@ -19,8 +19,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fgloc.arrays import Array, freeze
 from fgloc.errors import InputError
-from fgloc.measurements import Array, freeze
 
 POWER = 5.0
 NEIGHBOURS = 32

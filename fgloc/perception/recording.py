@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, freeze_ns
 from fgloc.drive import About
 from fgloc.errors import DriveError
 from fgloc.frames import Origin
-from fgloc.measurements import Array, ObjectTruth, freeze_ns
+from fgloc.measurements import ObjectTruth
 from fgloc.perception.boxes import ImageBoxes
 from fgloc.perception.heads import PerceptionNode
 from fgloc.timing import Instants

@@ -10,9 +10,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fgloc.arrays import Array, freeze
 from fgloc.errors import InputError
 from fgloc.frames import exp_so3
-from fgloc.measurements import Array, ObjectTruth, freeze
+from fgloc.measurements import ObjectTruth
 from fgloc.perception.boxes import upright_corners
 from fgloc.perception.heads import PerceptionNode
 from fgloc.timing import Instants, elapsed_s

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.errors import SolverError
 from fgloc.factors import noise
-from fgloc.measurements import Array, finite_rows
 from fgloc.parallel import each, portions
 from fgloc.smoother.model import Model
 
