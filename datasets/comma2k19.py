@@ -25,12 +25,13 @@ from pathlib import Path
 
 import numpy as np
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.datasets.recording import check_sigma, geodetic_fixes, left_out
 from fgloc.datasets.trajectory_columns import check_increasing
 from fgloc.drive import About, Drive, ImuNoise, Rig
 from fgloc.errors import DriveError
 from fgloc.frames import R_FLU_FRD, Origin, exp_so3, quat_to_matrix
-from fgloc.measurements import Array, ImuSamples, SteeringAngles, WheelSpeeds
+from fgloc.measurements import ImuSamples, SteeringAngles, WheelSpeeds
 from fgloc.timing import Instants, gps_week_to_ns
 from fgloc.trajectory import Trajectory
 
@@ -119,7 +120,7 @@ def _load(path: Path, *shape: int) -> Array:
 
 
 def _finite(path: Path, array: Array) -> Array:
-    bad = ~np.isfinite(array).reshape(len(array), -1).all(-1)
+    bad = ~finite_rows(array)
     if bad.any():
         raise DriveError(f"{path}: row {int(np.argmax(bad))} (from 0) is not finite; repair it")
     return array

@@ -14,6 +14,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.chi_square import chi2_quantile
 from fgloc.config import SmoothConfig
 from fgloc.drive import Drive
@@ -21,7 +22,7 @@ from fgloc.factors.detection import by_survey
 from fgloc.factors.noise import nis
 from fgloc.factors.post import post_spread
 from fgloc.factors.sway import linear_row
-from fgloc.measurements import PEDESTRIAN, Array, NodeDetections, UserFixes
+from fgloc.measurements import PEDESTRIAN, NodeDetections, UserFixes
 from fgloc.positions import (
     DETECTIONS,
     FREE_UP_M,
@@ -192,7 +193,7 @@ def _placed(
     """Where a user is at some instants (n,): ENU (n, 3) in m, NaN for a height that is not told,
     covariance (n, 3, 3), when that was known, and whether it is."""
     own = np.flatnonzero(users.user_id == user)
-    sound = np.isfinite(users.p_world_m[own]).all(-1) & np.isfinite(users.cov_m2[own]).all((1, 2))
+    sound = finite_rows(users.p_world_m[own], users.cov_m2[own])
     judged.set(own[~sound], Verdict.INVALID, "place or covariance is not finite")
     own = own[sound]
     own = own[np.diff(users.t_ns[own], prepend=-1) > 0]

@@ -22,6 +22,7 @@ from dataclasses import asdict, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import finite_rows
 from fgloc.baselines.lee2021_filter import (
     BEYOND,
     FAR,
@@ -91,7 +92,7 @@ def _usable_fixes(
 ) -> NDArray[np.int64]:
     """Rows that are finite, the first of their instant, and where there are velocities."""
     gnss = drive.gnss
-    finite = np.isfinite(gnss.p_world_ant_m).all(-1) & np.isfinite(gnss.cov_world_m2).all((-1, -2))
+    finite = finite_rows(gnss.p_world_ant_m, gnss.cov_world_m2)
     inside = (gnss.t_ns >= velocity.t_ns[0]) & (gnss.t_ns <= velocity.t_ns[-1])
     usable = np.flatnonzero(finite & inside)
     _, first = np.unique(gnss.t_ns[usable], return_index=True)

@@ -8,12 +8,13 @@ detections by roadside nodes is in `raw_detections`.
 
 import numpy as np
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.baselines import RAW
 from fgloc.baselines.planar import summarize, with_unknown_attitude
 from fgloc.baselines.raw_detections import trajectory_of_detections
 from fgloc.drive import Drive
 from fgloc.errors import DriveError, InputError, nearest
-from fgloc.measurements import Array, GnssFixes, NodeDetections
+from fgloc.measurements import GnssFixes, NodeDetections
 from fgloc.result import Result
 from fgloc.trajectory import Trajectory
 from fgloc.verdicts import SourceVerdicts, Verdict
@@ -63,8 +64,7 @@ def _table(drive: Drive, source: str) -> GnssFixes | NodeDetections:
 
 def _judge(fixes: GnssFixes, verdicts: SourceVerdicts) -> np.ndarray:
     """Rows (n,) that can be a state: finite, and the first such of their instant."""
-    finite = np.isfinite(fixes.p_world_ant_m).all(-1)
-    finite &= np.isfinite(fixes.cov_world_m2).all((-1, -2))
+    finite = finite_rows(fixes.p_world_ant_m, fixes.cov_world_m2)
     usable = np.flatnonzero(finite)
     _, first = np.unique(fixes.t_ns[usable], return_index=True)
     verdicts.set(finite, Verdict.DUPLICATE, "an earlier row has the same t_ns")

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.correspondence.epochs import Epoch, Epochs
 from fgloc.correspondence.matching import match
 from fgloc.correspondence.rigid import Rigid, Status, fit, rotation, wrapped
@@ -24,7 +25,6 @@ from fgloc.drive import Drive, GnssBias
 from fgloc.errors import DriveError
 from fgloc.measurements import (
     PEDESTRIAN,
-    Array,
     GnssFixes,
     NodeDetections,
     RelativeSightings,
@@ -236,8 +236,7 @@ class _Tracker:
         """What road users say of themselves; of two fixes of one at an instant the first."""
         rows = np.flatnonzero(users.t_ns == epoch.t_ns)
         self._set(users, rows, Verdict.INVALID, "not finite, or one of two at an instant")
-        sound = np.isfinite(users.p_world_m[rows]).all(-1)
-        rows = rows[sound & np.isfinite(users.cov_m2[rows]).all((1, 2))]
+        rows = rows[finite_rows(users.p_world_m[rows], users.cov_m2[rows])]
         rows = rows[np.unique(users.user_id[rows], return_index=True)[1]]
         fits = np.array([
             self._says(self.users[int(users.user_id[row])], epoch.t_ns, users.p_world_m[row],

@@ -3,10 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.diagnosis.finding import robust_sigma
 from fgloc.diagnosis.sampling import usual_interval_s
 from fgloc.drive import Drive
-from fgloc.measurements import Array, GnssFixes
+from fgloc.measurements import GnssFixes
 from fgloc.timing import elapsed_s
 
 FASTEST_MPS = 70.0
@@ -27,8 +28,7 @@ def sound_fixes(drive: Drive) -> GnssFixes | None:
     if gnss is None:
         return None
     variance = np.diagonal(gnss.cov_world_m2, axis1=-2, axis2=-1)
-    fine = np.isfinite(gnss.p_world_ant_m).all(-1) & np.isfinite(variance).all(-1)
-    gnss = gnss.take(fine & (variance > 0).all(-1))
+    gnss = gnss.take(finite_rows(gnss.p_world_ant_m, variance) & (variance > 0).all(-1))
     if not len(gnss):
         return None
     return gnss.take(np.concatenate([[True], np.diff(gnss.t_ns) > 0]))

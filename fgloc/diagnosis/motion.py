@@ -12,11 +12,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.diagnosis.finding import robust_sigma
 from fgloc.diagnosis.gnss import strays
 from fgloc.drive import Drive
 from fgloc.frames import wrap_pi
-from fgloc.measurements import Array, GnssFixes, ImuSamples
+from fgloc.measurements import GnssFixes, ImuSamples
 from fgloc.timing import Instants, elapsed_s
 
 STEP_S = 1.0
@@ -146,7 +147,7 @@ def inertial(drive: Drive, start_ns: int) -> Signal | None:
     imu = drive.tables.get("imu")
     if not isinstance(imu, ImuSamples):
         return None
-    finite = np.isfinite(np.hstack([imu.accel_mps2, imu.gyro_radps])).all(-1)
+    finite = finite_rows(imu.accel_mps2, imu.gyro_radps)
     if finite.sum() < 2:
         return None
     R_veh_imu = drive.rig.T_veh_imu[:3, :3]

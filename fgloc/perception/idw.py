@@ -19,7 +19,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fgloc.arrays import Array, freeze
+from fgloc.arrays import Array, finite_rows, freeze
 from fgloc.errors import InputError
 
 POWER = 5.0
@@ -58,7 +58,7 @@ class Calibration:
             raise InputError(
                 f"calibration: {len(self.u_px)} pairs; at least {LEAST_POINTS} are needed"
             )
-        bad = ~np.isfinite(np.c_[self.u_px, self.p_world_m]).all(-1)
+        bad = ~finite_rows(self.u_px, self.p_world_m)
         if bad.any():
             raise InputError(f"calibration: pair {int(np.argmax(bad))} is not finite; remove it")
 

@@ -11,11 +11,12 @@ from dataclasses import asdict
 import numpy as np
 from numpy.typing import NDArray
 
+from fgloc.arrays import Array, finite_rows
 from fgloc.drive import Drive
 from fgloc.errors import DriveError
 from fgloc.factors.noise import weight
 from fgloc.frames import yaw_matrix
-from fgloc.measurements import Array, Odometry, Ranges
+from fgloc.measurements import Odometry, Ranges
 from fgloc.result import Result
 from fgloc.smoother.ranges_lag import run_lag
 from fgloc.smoother.ranges_model import (
@@ -96,7 +97,7 @@ def build(drive: Drive, settings: RangeSettings) -> tuple[RangeModel, NDArray[np
     if not isinstance(table, Ranges):
         raise DriveError(f"drive {drive.name!r} has no ranges table")
     odometry = drive.tables.get("odometry")
-    rows = np.flatnonzero(np.isfinite(table.range_m) & np.isfinite(table.sigma_m))
+    rows = np.flatnonzero(finite_rows(table.range_m, table.sigma_m))
     if isinstance(odometry, Odometry):
         t_ns = table.t_ns[rows]
         rows = rows[(t_ns >= odometry.t_ns[0]) & (t_ns <= odometry.t_ns[-1])]
