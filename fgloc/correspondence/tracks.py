@@ -206,9 +206,9 @@ class _Tracker:
 
     def _fix(self, epoch: Epoch, fixes: GnssFixes) -> None:
         rows = np.flatnonzero(fixes.t_ns == epoch.t_ns)
-        fine = [row for row in rows if np.isfinite(fixes.cov_world_m2[row]).all()]
+        fine = rows[finite_rows(fixes.p_world_ant_m[rows], fixes.cov_world_m2[rows])]
         self._set(fixes, rows, Verdict.INVALID, "not finite, or one of two at an instant")
-        if not fine:
+        if not len(fine):
             return
         self._set(fixes, fine[0], Verdict.USED)
         z_m, R_m2 = fixes.p_world_ant_m[fine[0], :2], fixes.cov_world_m2[fine[0], :2, :2]

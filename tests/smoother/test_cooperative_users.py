@@ -130,6 +130,20 @@ def test_a_leap_of_the_other_cars_fixes_is_gated_and_told():
     assert rmse_m(result, drive)[1] < 0.15
 
 
+@pytest.mark.parametrize("others", ["users", "objects"])
+def test_a_fix_without_a_position_is_invalid_though_its_covariance_is_finite(others):
+    drive = two_cars()
+    gnss = drive.tables["gnss"]
+    p = gnss.p_world_ant_m.copy()
+    p[40] = np.nan
+    tables = {**drive.tables, "gnss": dataclasses.replace(gnss, p_world_ant_m=p)}
+    if others == "objects":
+        del tables["users"]
+    result = fgloc.smooth(dataclasses.replace(drive, tables=tables), mode="batch")
+    assert result.verdicts["gnss"].is_(Verdict.INVALID).nonzero()[0].tolist() == [40]
+    assert np.isfinite(result.trajectory.p_world_m).all()
+
+
 def test_users_keep_their_numbers_and_are_scored_as_themselves():
     drive = two_cars()
     result = fgloc.smooth(drive, mode="batch")
