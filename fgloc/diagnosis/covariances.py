@@ -11,6 +11,7 @@ from fgloc.diagnosis.gravity import in_mps2
 from fgloc.diagnosis.motion import Signal
 from fgloc.diagnosis.sampling import usual_interval_s
 from fgloc.drive import Drive
+from fgloc.factors.noise import positive_definite
 from fgloc.measurements import Array, GnssFixes, ImuSamples
 from fgloc.timing import elapsed_s
 
@@ -33,12 +34,12 @@ def check_covariances(drive: Drive) -> Iterator[Finding]:
     finite = np.isfinite(gnss.cov_world_m2).all((-1, -2))
     variance = np.diagonal(gnss.cov_world_m2, axis1=-2, axis2=-1)
     zero = finite & (variance <= 0).any(-1)
-    smallest = np.zeros(len(gnss))
-    smallest[finite] = np.linalg.eigvalsh(gnss.cov_world_m2[finite])[:, 0]
+    definite = np.zeros(len(gnss), bool)
+    definite[finite] = positive_definite(gnss.cov_world_m2[finite])
     for rows, what in (
         (~finite, "is infinite or NaN"),
         (zero, "has a zero or negative variance"),
-        (finite & ~zero & (smallest <= 0), "is not positive definite"),
+        (finite & ~zero & ~definite, "is not positive definite"),
     ):
         if rows.any():
             yield fault(
@@ -47,7 +48,7 @@ def check_covariances(drive: Drive) -> Iterator[Finding]:
                 f"the covariance {what} in {rows_of(gnss, np.flatnonzero(rows))}",
                 "give what the receiver states, or remove the rows: they cannot be weighted",
             )
-    yield from _odd_sigmas(gnss, finite & (smallest > 0), variance)
+    yield from _odd_sigmas(gnss, definite, variance)
 
 
 def _odd_sigmas(gnss: GnssFixes, sound: NDArray[np.bool_], variance: Array) -> Iterator[Finding]:
