@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from fgloc.datasets.columns import Columns, check_pairs, check_positive, place
-from fgloc.errors import DriveError
-from fgloc.infrastructure import NO_HEIGHT, Infrastructure
+from fgloc.infrastructure import Infrastructure
 from fgloc.measurements import LEFT_OUT, Array
 
 SEEN_HEIGHT, HEIGHT = ("z_m", "sigma_z_m"), ("up_m", "sigma_up_m")
@@ -41,12 +40,9 @@ def seen_heights(
     up_m, sigma_m = heights(path, columns, names)
     if up_m is LEFT_OUT:
         return up_m, sigma_m
-    row = infrastructure.telling_height(columns["node"], np.isfinite(up_m))
-    if row is not None:
-        node = infrastructure.nodes[int(columns["node"][row])].name
-        raise DriveError(
-            f"{place(path, row)}: {names[0]} = {up_m[row]} of node {node!r}: {NO_HEIGHT}"
-        )
+    infrastructure.refuse_camera_heights(
+        columns["node"], up_m, lambda row: f"{place(path, row)}: {names[0]}"
+    )
     if names is HEIGHT:
         node_up_m = np.array([one.p_world_m[2] for one in infrastructure.nodes])
         up_m = up_m - node_up_m[columns["node"]]

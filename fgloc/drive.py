@@ -10,7 +10,7 @@ import numpy as np
 from fgloc.arrays import Array, freeze
 from fgloc.errors import DriveError
 from fgloc.frames import Origin, is_rotation
-from fgloc.infrastructure import NO_HEIGHT, Infrastructure
+from fgloc.infrastructure import Infrastructure
 from fgloc.measurements import GnssFixes, ImuSamples, NodeDetections, NodePoses, ObjectTruth, Table
 from fgloc.posts import PostStates
 from fgloc.trajectory import Trajectory
@@ -197,14 +197,10 @@ class Drive:
     def _check_heights(self) -> None:
         """No camera tells a height."""
         seen = self.tables.get(NodeDetections.KIND)
-        if not isinstance(seen, NodeDetections):
-            return
-        row = self.infrastructure.telling_height(seen.node, seen.has_height)
-        if row is not None:
-            name = self.infrastructure.nodes[int(seen.node[row])].name
-            raise DriveError(
-                f"drive {self.name!r}: detections row {row}: up_node_m = {seen.up_node_m[row]} of "
-                f"node {name!r}: {NO_HEIGHT}"
+        if isinstance(seen, NodeDetections):
+            table = f"drive {self.name!r}: detections"
+            self.infrastructure.refuse_camera_heights(
+                seen.node, seen.up_node_m, lambda row: f"{table} row {row}: up_node_m"
             )
 
     @property

@@ -3,6 +3,7 @@ anchors that they measure distances to."""
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
@@ -16,13 +17,6 @@ _LEAST = {
     "yaw_rad": -math.inf, "sigma_position_m": 0.0, "sigma_yaw_rad": 0.0, "sigma_level_rad": 0.0,
     "range_m": 0.0, "bias_sigma_m": 0.0, "bias_tau_s": 1e-3,
 }  # fmt: skip
-
-
-NO_HEIGHT = (
-    "a camera sees the ground along a ray and tells no height; leave the height out, or say of the "
-    'node that its sensor is a "lidar"'
-)
-"""What is wrong where a camera's detection comes with a height, and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +195,21 @@ class Infrastructure:
         name = self.nodes[node].name
         return next((post for post in self.posts if post.node == name), None)
 
-    def telling_height(self, node: NDArray[np.int64], told: NDArray[np.bool_]) -> int | None:
-        """The first of some detections (N,) that tell a height though their node is a camera."""
+    def refuse_camera_heights(
+        self, node: NDArray[np.int64], up_m: Array, where: Callable[[int], str]
+    ) -> None:
+        """Raise DriveError at the first of detections (N,) that tells a finite height, in m, though
+        its node is a camera; `where` names the height of a row in the message."""
         camera = np.array([one.sensor == "camera" for one in self.nodes], bool)
-        wrong = np.flatnonzero(told)
-        wrong = wrong[camera[node[wrong]]]
-        return int(wrong[0]) if len(wrong) else None
+        told = np.flatnonzero(np.isfinite(up_m))
+        wrong = told[camera[node[told]]]
+        if len(wrong):
+            row = int(wrong[0])
+            raise DriveError(
+                f"{where(row)} = {up_m[row]} of node {self.nodes[int(node[row])].name!r}: a camera "
+                "sees the ground along a ray and tells no height; leave the height out, or say of "
+                'the node that its sensor is a "lidar"'
+            )
 
     def __post_init__(self) -> None:
         for one in fields(self):
