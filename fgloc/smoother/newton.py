@@ -15,7 +15,7 @@ so little that a step under it may be the last."""
 POOR, GOOD = 0.25, 0.75
 """A step that comes down by less than this share of what it promises bends more than its square
 tells: the next is damped more. One that comes down by more than the other is damped less."""
-NEAR = 0.1
+NEAR = 0.3
 """Where nearness will do, the last step may promise this share of the cost."""
 SURE, SLOW, SHORT_RAD = 0.1, 0.1, 0.01
 """After a step of Newton's that promises this share of the cost, the next is likely the last, and
