@@ -19,7 +19,7 @@ from fgloc.parallel import each
 from fgloc.smoother.half import Half, NotPositiveError, pieces, span
 
 LONG = 1000
-"""From so many blocks on its two halves are worth a thread each."""
+"""From so many blocks on a band's two halves are worth a thread each."""
 Part = TypeVar("Part")
 Made = TypeVar("Made")
 
@@ -39,8 +39,8 @@ class Band:
     """Normal equations of n blocks of d unknowns and a border of k, to which terms are added."""
 
     def __init__(self, n: int, d: int, k: int = 0) -> None:
-        self.middle = n // 2
-        self._halves = Half(range(self.middle + 1), d), Half(range(n - 1, self.middle - 1, -1), d)
+        self._middle = n // 2
+        self._halves = Half(range(self._middle + 1), d), Half(range(n - 1, self._middle - 1, -1), d)
         self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
 
@@ -80,14 +80,14 @@ class Band:
 
     def _split(self, blocks: NDArray[np.int64]) -> list[tuple[Half, slice]]:
         """Which terms each half takes: the first those of blocks before the middle one."""
-        cut = int(np.searchsorted(blocks, self.middle))
+        cut = int(np.searchsorted(blocks, self._middle))
         parts = zip(self._halves, (slice(0, cut), slice(cut, len(blocks))), strict=True)
         return [(half, rows) for half, rows in parts if rows.start < rows.stop]
 
     def outward(self, blocks: range, size: int) -> list[range]:
         """Some blocks in portions of so many, in the order in which adding to them costs least."""
         parts = [blocks[first : first + size] for first in range(0, len(blocks), size)]
-        before = [part for part in parts if part.start < self.middle]
+        before = [part for part in parts if part.start < self._middle]
         return [*reversed(before), *parts[len(before) :]]
 
     def section(self) -> "Band":

@@ -59,7 +59,7 @@ class Half:
     def add(self, blocks: NDArray[np.int64], at: NDArray[np.int64], J: Array) -> None:
         """Add the curvature J' J of M terms with J (M, m, q or more): see `Band.add`."""
         d = self.panels.shape[1]
-        outer = int(self._backward and at[-1] >= d)
+        outer = int(self._backward and at.max(initial=0) >= d)
         panels, spans, untouched = self._touch(blocks, outer)
         for piece, squares in _products(tuple(at.tolist()), d, self._backward):
             back = J[:, :, piece.columns].swapaxes(-1, -2)

@@ -92,7 +92,9 @@ def test_steps_and_portions_from_either_end_add_up_to_the_same(portions):
 def test_a_chain_of_any_length_is_solved_from_both_ends(monkeypatch, n, long):
     monkeypatch.setattr(band, "LONG", long)
     rng, d = np.random.default_rng(n), 3
-    banded, H = Band(n, d), np.zeros((n * d, n * d))
+    banded, H = Band(n, d, 1), np.zeros((n * d, n * d))
+    # All that is known of the border is about itself.
+    banded.add(np.array([0]), np.arange(0), np.full((1, 1, 1), 2.0), np.ones((1, 1)))
     for j in range(n):
         at = np.arange(2 * d if j < n - 1 else d)
         J = rng.normal(size=(1, 6, len(at)))
@@ -101,11 +103,12 @@ def test_a_chain_of_any_length_is_solved_from_both_ends(monkeypatch, n, long):
         H[own, own] += J[0].T @ J[0]
     factor, keep, right = banded.factor(), np.arange(d), rng.normal(size=(n, d))
     inverse = np.linalg.inv(H)
-    x = factor.solve(Vector(right, np.zeros(0)))
+    x = factor.solve(Vector(right, banded.gradient.border))
     np.testing.assert_allclose(x.blocks.ravel(), inverse @ right.ravel(), rtol=1e-9)
+    assert x.border == pytest.approx([0.25])
     blocks = [inverse[j : j + d, j : j + d] for j in range(0, n * d, d)]
     np.testing.assert_allclose(factor.inverse_blocks(keep), blocks, rtol=1e-9)
-    assert factor.log_determinant == pytest.approx(np.linalg.slogdet(H)[1])
+    assert factor.log_determinant == pytest.approx(np.linalg.slogdet(H)[1] + np.log(4))
 
 
 @pytest.mark.parametrize("unknown", range(10))
