@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fgloc.measurements import Array
-from fgloc.parallel import each
+from fgloc.parallel import each, portions
 from fgloc.smoother.half import Half, NotPositiveError, pieces, span
 
 LONG = 1000
@@ -40,7 +40,7 @@ class Band:
 
     def __init__(self, n: int, d: int, k: int = 0) -> None:
         self._middle = n // 2
-        self._halves = Half(range(self._middle + 1), d), Half(range(n - 1, self._middle - 1, -1), d)
+        self.halves = Half(range(self._middle + 1), d), Half(range(n - 1, self._middle - 1, -1), d)
         self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
 
@@ -81,12 +81,12 @@ class Band:
     def _split(self, blocks: NDArray[np.int64]) -> list[tuple[Half, slice]]:
         """Which terms each half takes: the first those of blocks before the middle one."""
         cut = int(np.searchsorted(blocks, self._middle))
-        parts = zip(self._halves, (slice(0, cut), slice(cut, len(blocks))), strict=True)
+        parts = zip(self.halves, (slice(0, cut), slice(cut, len(blocks))), strict=True)
         return [(half, rows) for half, rows in parts if rows.start < rows.stop]
 
     def outward(self, blocks: range, size: int) -> list[range]:
         """Some blocks in portions of so many, in the order in which adding to them costs least."""
-        parts = [blocks[first : first + size] for first in range(0, len(blocks), size)]
+        parts = [blocks[part] for part in portions(len(blocks), size)]
         before = [part for part in parts if part.start < self._middle]
         return [*reversed(before), *parts[len(before) :]]
 
@@ -94,7 +94,7 @@ class Band:
         """The same memory for somebody who adds to blocks that nobody else adds to meanwhile;
         `join` ends it."""
         part = copy(self)
-        part._halves = copy(self._halves[0]), copy(self._halves[1])
+        part.halves = copy(self.halves[0]), copy(self.halves[1])
         part.corner = np.zeros_like(self.corner)
         part.gradient = Vector(self.gradient.blocks, np.zeros_like(self.gradient.border))
         return part
@@ -103,7 +103,7 @@ class Band:
         """Take over what a section has of the border."""
         self.corner += part.corner
         self.gradient.border[:] += part.gradient.border
-        for half, own in zip(self._halves, part._halves, strict=True):
+        for half, own in zip(self.halves, part.halves, strict=True):
             half.join(own)
 
     def factor(self, damping: Vector | None = None) -> "BorderedFactor":
@@ -114,9 +114,9 @@ class Band:
         corner = self.corner
         if damping is not None:
             corner = corner + np.diag(damping.border)
-            self._halves[0].diagonal[:] += damping.blocks
-            self._halves[1].diagonal[:-1] += damping.blocks  # the middle block has it
-        return BorderedFactor(Factor(self._halves), self.border, corner)
+            self.halves[0].diagonal[:] += damping.blocks
+            self.halves[1].diagonal[:-1] += damping.blocks  # the middle block has it
+        return BorderedFactor(Factor(self.halves), self.border, corner)
 
 
 class BorderedFactor:

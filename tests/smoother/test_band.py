@@ -81,6 +81,8 @@ def test_steps_and_portions_from_either_end_add_up_to_the_same(portions):
     gradient = np.einsum("nm,nmq->nq", change / sigma, J)
     once.add(np.arange(8), np.append(at, 4 + at), J, gradient)
     once.add(np.arange(8), np.arange(8), other, slope)
+    for one_half, half_there in zip(once.halves, there.halves, strict=True):
+        np.testing.assert_allclose(half_there.panels, one_half.panels, atol=1e-12)
     damping, right = Vector(np.ones(4), np.zeros(0)), Vector(rng.normal(size=(9, 4)), np.zeros(0))
     np.testing.assert_allclose(flat(there.gradient), flat(once.gradient), atol=1e-12)
     a, b = (flat(one.factor(damping).solve(right)) for one in (there, once))

@@ -93,6 +93,8 @@ def test_portions_and_sections_make_no_difference(city, monkeypatch, what, chang
         monkeypatch.setattr(f"fgloc.smoother.chain.{name}", value)
     cost_of_many, many = one.linearize(states, robust, "weights")
     assert cost_of_many == pytest.approx(cost, rel=1e-12)
+    for one_half, half in zip(whole.halves, many.halves, strict=True):
+        np.testing.assert_allclose(half.panels, one_half.panels, rtol=1e-9, atol=1e-6)
     a, b = flat(whole.gradient), flat(many.gradient)
     np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9 * np.abs(a).max())
     np.testing.assert_allclose(many.corner, whole.corner, rtol=1e-9)
