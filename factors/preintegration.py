@@ -28,7 +28,7 @@ from fgloc.frames import (
 from fgloc.measurements import Array
 from fgloc.parallel import each
 
-SAMPLES_AT_ONCE = 12_000
+SAMPLES_AT_ONCE = 24_000
 """Intervals are taken in portions of about so many samples, which fit the processor's cache."""
 
 

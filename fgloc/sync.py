@@ -273,8 +273,11 @@ def _steps(
     turned = [*(R_veh_imu @ imu.accel_mps2.T), *(R_veh_imu @ imu.gyro_radps.T)]
     force, rate = np.split(np.array(each(lambda axis: np.interp(at, have, axis), turned)), 2)
     dt_s = np.diff(at)
-    gyro = (rate[:, 1:] + rate[:, :-1]) / 2
-    end = force[:, 1:] + cross(gyro * dt_s, force[:, 1:])
+    gyro = rate[:, 1:] + rate[:, :-1]
+    gyro /= 2  # in place: of so many samples, to get the memory takes longer than to add them up
+    mean = cross(gyro * dt_s, force[:, 1:])
+    mean += force[:, 1:]
+    mean += force[:, :-1]
+    mean /= 2
     ends = np.searchsorted(knots, t_ns)
-    mean = (force[:, :-1] + end) / 2
     return np.concatenate([[0], ends]), mean.T, gyro.T, dt_s, rate[:, ends].T

@@ -9,7 +9,7 @@ all blocks share stand in a border, [[H, B], [B', C]], and are solved for by its
 
 from collections.abc import Callable, Iterable
 from copy import copy
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,6 @@ from fgloc.smoother.half import Half, NotPositiveError, pieces, span
 
 LONG = 1000
 """From so many blocks on a band's two halves are worth a thread each."""
-Part = TypeVar("Part")
 Made = TypeVar("Made")
 
 
@@ -43,6 +42,13 @@ class Band:
         self.halves = Half(range(self._middle + 1), d), Half(range(n - 1, self._middle - 1, -1), d)
         self.border, self.corner = np.zeros((n, d, k)), np.zeros((k, k))
         self.gradient = Vector(np.zeros((n, d)), np.zeros(k))
+
+    def clear(self) -> None:
+        """Take out all terms. A factor in this band's place is lost, and its memory is used again:
+        the system takes longer to provide as much anew than the terms to be added."""
+        _both(Half.clear, self.halves)
+        for values in (self.border, self.corner, *self.gradient):
+            values.fill(0)
 
     def add(
         self, blocks: NDArray[np.int64], at: NDArray[np.int64], J: Array, gradient: Array
@@ -162,7 +168,7 @@ class Factor:
 
     def __init__(self, halves: tuple[Half, Half]) -> None:
         self._halves, self._at = halves, halves[0].blocks[-1]
-        left = np.sum(self._each(Half.eliminate, halves), 0)
+        left = np.sum(_both(Half.eliminate, halves), 0)
         try:
             self._middle = np.linalg.cholesky(left)
         except np.linalg.LinAlgError as err:
@@ -176,17 +182,16 @@ class Factor:
 
     def solve(self, right: Array) -> Array:
         """X (n, d, k) of H X = right (n, d, k)."""
-        told = self._each(lambda half: half.forward(right[half.outer]), self._halves)
+        told = _both(lambda half: half.forward(right[half.outer]), self._halves)
         y = np.linalg.solve(self._middle, right[self._at] - sum(taken for _, taken in told))
         middle = np.linalg.solve(self._middle.T, y)
         x = np.empty_like(right)
         x[self._at] = middle
 
-        def fill(part: tuple[Half, Array]) -> None:
-            half, y = part
+        def fill(half: Half, y: Array) -> None:
             x[half.outer] = half.backward(y, middle)
 
-        self._each(fill, zip(self._halves, (y for y, _ in told), strict=True))
+        _both(fill, self._halves, [y for y, _ in told])
         return x
 
     def inverse_blocks(self, keep: NDArray[np.int64]) -> Array:
@@ -196,12 +201,16 @@ class Factor:
         n = sum(len(half.blocks) for half in self._halves) - 1
         out = np.empty((n, len(keep), len(keep)))
         out[self._at] = middle[np.ix_(keep, keep)]
-        self._each(lambda half: half.inverse_blocks(out[half.outer], keep, middle), self._halves)
+        _both(lambda half: half.inverse_blocks(out[half.outer], keep, middle), self._halves)
         return out
 
-    def _each(self, make: Callable[[Part], Made], parts: Iterable[Part]) -> list[Made]:
-        """What is made of both halves, side by side where that is worth it."""
-        return each(make, parts) if len(self._halves[1].blocks) > LONG else list(map(make, parts))
+
+def _both(make: Callable[..., Made], halves: tuple[Half, Half], *told: Iterable[Any]) -> list[Made]:
+    """What is made of each half and of what is told of it, side by side where that is worth it."""
+    parts = list(zip(halves, *told, strict=True))
+    if len(halves[1].blocks) <= LONG:
+        return [make(*part) for part in parts]
+    return each(lambda part: make(*part), parts)
 
 
 def _first_not_held(matrix: Array) -> int:

@@ -24,7 +24,7 @@ from fgloc.smoother.term import BIAS, POSE, VELOCITY, Step, Term
 from fgloc.smoother.terms import Terms, late_residual, measurement, position_residual, present
 from fgloc.timing import iso_utc
 
-BLOCKS_AT_ONCE = 1500
+BLOCKS_AT_ONCE = 3000
 """The drive is gone through in portions of so many keyframes, which fit the processor's cache; no
 power of two, by which the columns of a field would all lie in the same few lines of it."""
 POSITIONS_AT_ONCE = 8000
@@ -116,8 +116,9 @@ class Chain(Terms):
         return None if keys is None else (keys, sketch.few_deltas(self.deltas, keys))
 
     def rough_predictions(self, states: States, rows: NDArray[np.int64]) -> Array | None:
-        """Covariances (m, 3, 3) in m^2 of what some positions measure as predicted, about: from the
-        last sketch. None where there is none, or where more than the pose has a part in it."""
+        """Covariances (m, 3, 3) in m^2 of what some positions (increasing) measure as predicted,
+        about: from the last sketch, for each source the same from one of its keyframes to the next.
+        None where there is none, or where more than the pose has a part in it."""
         if self._few is None or self._sketched is None or self.border.size or self.width > 15:
             return None
         (keys, _), (few, found, nothing) = self._few, self._sketched
@@ -125,9 +126,12 @@ class Chain(Terms):
         at = np.searchsorted(keys, self.key_of[rows], side="right") - 1
         predicted = np.empty((len(rows), 3, 3))
         for s in present(self.source[rows]):
-            own = self.source[rows] == s
-            J = position_residual(self.model, states, rows[own], s).by_pose
-            predicted[own] = J @ cov[at[own]] @ J.swapaxes(-1, -2)
+            own = np.flatnonzero(self.source[rows] == s)
+            begins = np.diff(at[own], prepend=-1) > 0
+            some = own[begins]
+            J = position_residual(self.model, states, rows[some], s).by_pose
+            told = J @ cov[at[some]] @ J.swapaxes(-1, -2)
+            predicted[own] = told[np.cumsum(begins) - 1]
         return predicted
 
     def moved(self, states: States, back: Vector) -> States:
@@ -164,15 +168,19 @@ class Chain(Terms):
         return moved
 
     def linearize(
-        self, states: States, robust: Robustness, curvature: Curvature
+        self, states: States, robust: Robustness, curvature: Curvature, band: Band | None = None
     ) -> tuple[float, Band]:
-        """The cost at some states, half a sum of squares under the loss, and its normal equations.
+        """The cost at some states, half a sum of squares under the loss, and its normal equations,
+        in the memory of a band that is no longer needed if there is one.
 
         Under a loss the curvature is that of "newton", which converges in a few steps once it is
         near, or of reweighted least squares ("weights"), which never climbs far and is what
         covariances are taken from.
         """
-        band = Band(self.n, self.width, self.border.size)
+        if band is None:
+            band = Band(self.n, self.width, self.border.size)
+        else:
+            band.clear()
         told: Curvature | Literal["plain"] = "plain" if robust.plain else curvature
 
         def add(to: Band, first: int, stop: int) -> float:

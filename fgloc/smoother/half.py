@@ -41,6 +41,11 @@ class Half:
         self.panels = self._columns.reshape(n, -1)[:, : 2 * d * d].reshape(n, d, 2 * d)
         self._outermost = n  # nothing has been added to the panels before this one
 
+    def clear(self) -> None:
+        """Take out all that was added, in the same memory."""
+        self._columns.fill(0)
+        self._outermost = len(self.panels)
+
     @property
     def diagonal(self) -> Array:
         """That of H (n, d)."""

@@ -39,9 +39,9 @@ class Cost(Protocol):
         """What a damping of 1 adds to the curvature of each unknown of a block and the border."""
 
     def linearize(
-        self, states: States, robust: Robustness, curvature: Curvature
+        self, states: States, robust: Robustness, curvature: Curvature, band: Band | None = None
     ) -> tuple[float, Band]:
-        """The cost and its normal equations."""
+        """The cost and its normal equations, in the place of a band that is no longer needed."""
 
     def moved(self, states: States, step: Vector) -> States:
         """The states after a step back along a vector."""
@@ -85,10 +85,10 @@ class Descent:
                 weighs = self.robust.plain or curvature == "weights"
                 self.factor = factor if weighs and fine and damping == 0 else None
                 return trial, value - promise
-            del band, factor  # which have the same memory: there is room for one
+            del factor  # it stands where the next normal equations will
             ends = promise <= (SURE if curvature == "newton" else FINE) * value
             following: Curvature = "weights" if ends else "newton"
-            trial_value, band = self.cost.linearize(trial, self.robust, following)
+            trial_value, band = self.cost.linearize(trial, self.robust, following, band)
             climbs = not trial_value <= value
             before = 0.0 if climbs or damping > 0 else promise
             if not climbs:
@@ -102,8 +102,7 @@ class Descent:
                     curvature = "weights"
                 else:
                     damping = max(10 * damping, FIRST_DAMPING)
-                del band
-                _, band = self.cost.linearize(states, self.robust, curvature)
+                _, band = self.cost.linearize(states, self.robust, curvature, band)
 
     def _step(
         self, states: States, band: Band, curvature: Curvature, damping: float
@@ -120,7 +119,7 @@ class Descent:
                 damping = max(10 * damping, FIRST_DAMPING)
                 if damping > MAX_DAMPING or not np.isfinite(band.gradient.blocks).all():
                     raise
-                _, band = self.cost.linearize(states, self.robust, curvature)
+                _, band = self.cost.linearize(states, self.robust, curvature, band)
 
 
 def _eased(damping: float, fall: float, promise: float) -> float:

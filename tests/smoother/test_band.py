@@ -52,6 +52,23 @@ def test_damping_lies_on_the_diagonal_of_every_block_and_of_the_border(systems):
     np.testing.assert_allclose(flat(x), np.linalg.solve(H + dense, g))
 
 
+def test_a_band_that_was_factorised_and_cleared_takes_terms_as_a_new_one_does(systems):
+    used, _, _ = systems
+    fresh, rng = Band(9, 4, 2), np.random.default_rng(3)
+    J, slope = rng.normal(size=(8, 10, 10)), rng.normal(size=(8, 10))
+    at_the_end = np.array([8]), np.arange(4), rng.normal(size=(1, 4, 4)), rng.normal(size=(1, 4))
+    used.factor()
+    used.clear()
+    for banded in (used, fresh):
+        banded.add(np.arange(8), np.arange(8), J, slope)
+        banded.add(*at_the_end)
+    assert (flat(used.gradient) == flat(fresh.gradient)).all()
+    for one, other in zip(used.halves, fresh.halves, strict=True):
+        assert (one.panels == other.panels).all()
+    x, again = (banded.factor().solve(banded.gradient) for banded in (fresh, used))
+    assert (flat(x) == flat(again)).all()
+
+
 @pytest.mark.parametrize("at_once", [1, 2, 5, 7, 100])
 def test_blocks_of_the_inverse_are_those_of_the_dense_one(systems, monkeypatch, at_once):
     banded, H, _ = systems
