@@ -1,5 +1,6 @@
 """The commands that make, import and list drives; help."""
 
+import ctypes
 import json
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from fgloc import cli
 from fgloc.datasets import open_drive
 from fgloc.datasets.drive_folder import read_drive, write_drive
 
@@ -119,6 +121,14 @@ def test_help_imports_nothing_heavy():
                               text=True, check=True)  # fmt: skip
         heavy = {"numpy", "gtsam", "scipy", "pydantic", "rich", "plotly", "jinja2", "pymap3d"}
         assert not heavy & set(done.stderr.split())
+
+
+def test_the_c_library_takes_the_settings_of_memory_or_has_none(run, monkeypatch):
+    settings = getattr(ctypes.CDLL(None), "mallopt", None)
+    assert settings is None or settings(cli._M_MMAP_THRESHOLD, cli.KEPT_BYTES) == 1
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: object())
+    status, text, _ = run("datasets")
+    assert status == 0 and "mems-rtk" in text
 
 
 def test_as_a_module():
