@@ -1,4 +1,4 @@
-"""CSV tables by Arrow's parser: in less than half the time of any other.
+"""CSV tables by Arrow's parser: in a fifth of the time of numpy's, on one processor.
 
 It reads the same numbers to the last bit, but what it thinks of a file that is not as it should be
 is for others to say: here such a file is not read.
@@ -19,14 +19,12 @@ _HEXADECIMAL = b"x", b"X"
 
 def parse(raw: bytes, start: int, names: list[str]) -> Columns | None:
     """The cells of lines from a byte on, as columns with these names; None where a cell is empty,
-    no number or hexadecimal, a line is blank, too short or too long, or Arrow is not installed."""
+    no number or hexadecimal, or a line is blank, too short or too long."""
     if any(raw.find(mark, start) >= 0 for mark in _HEXADECIMAL):
         return None
-    try:
-        import pyarrow
-        from pyarrow import csv
-    except ImportError:
-        return None
+    import pyarrow
+    from pyarrow import csv
+
     pool = pyarrow.system_memory_pool()  # its own would keep what it has had
 
     def columns(part: slice) -> Columns:

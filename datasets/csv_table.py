@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import orjson
 from numpy.typing import ArrayLike, NDArray
-from pydantic_core import from_json, to_json
+from pydantic_core import to_json
 
 from fgloc.datasets import arrow_csv
 from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer
@@ -23,13 +23,9 @@ from fgloc.files import read_filled
 from fgloc.parallel import portions
 
 _INT64 = np.iinfo(np.int64)
-_AT_ONCE = 1 << 20
-"""Bytes that are parsed at a time: they and their numbers stay in the processor's cache."""
 _ROWS_AT_ONCE = 4096
-_LARGE = 1 << 21
+_LARGE = 1 << 20
 """Bytes from which on a file is worth the time that Arrow takes to be imported."""
-_OF_NUMBERS = b"0123456789.+-eENa \r"
-"""What numbers (NaN among them) are written with; of such bytes JSON accepts nothing else."""
 
 
 def read_csv(path: Path, layout: Layout) -> Columns:
@@ -102,50 +98,13 @@ def _decode(path: Path, raw: bytes) -> str:
 
 
 def _parse_fast(path: Path, raw: bytes, names: list[str]) -> Columns | None:
-    """All cells by Arrow if there are many, or as JSON, or by numpy where they are not written as
-    JSON wants its numbers, or None where they are not all numbers."""
+    """All cells by Arrow if there are many, or by numpy; None where they are not all numbers."""
     start = raw.find(b"\n") + 1
     if start in (0, len(raw)):
         return None
     if len(raw) >= _LARGE and (columns := arrow_csv.parse(raw, start, names)) is not None:
         return columns
-    return _parse_json(raw, start, names) or _parse_loosely(path, raw, names)
-
-
-def _parse_json(raw: bytes, start: int, names: list[str]) -> Columns | None:
-    """The cells from a byte on by pydantic's parser, in a third of the time numpy's takes."""
-    columns: list[list[NDArray[Any]]] = [[] for _ in names]
-    while start < len(raw):
-        stop = raw.rfind(b"\n", start, start + _AT_ONCE) + 1 or len(raw)
-        try:
-            cells = _cells(raw[start:stop], len(names))
-            floats = np.array(cells, np.float64).reshape(-1, len(names))
-            for k, name in enumerate(names):
-                exact = is_integer(name)
-                columns[k].append(_whole(cells[k :: len(names)], name) if exact else floats[:, k])
-        except (ValueError, OverflowError):
-            return None
-        start = stop
-    return {name: np.concatenate(parts) for name, parts in zip(names, columns, strict=True)}
-
-
-def _cells(block: bytes, columns: int) -> list[Any]:
-    """The numbers of whole lines, one after the other; ValueError where they are not that."""
-    block = block.removesuffix(b"\n")
-    lines = block.count(b"\n") + 1
-    separators = (b"," * (columns - 1) + b"\n") * lines
-    if block.translate(None, _OF_NUMBERS) != separators[:-1]:
-        raise ValueError("a cell is no plain number, or a line has too few or too many")
-    cells: list[Any] = from_json(b"[" + block.replace(b"\n", b",") + b"]")
-    return cells
-
-
-def _whole(cells: list[Any], name: str) -> NDArray[np.int64]:
-    """Cells of a column of whole numbers; ValueError where one is not an integer of 64 bits."""
-    values = np.array(cells)
-    if values.dtype != np.int64:
-        raise ValueError(f"{name} is not int64")
-    return values
+    return _parse_loosely(path, raw, names)
 
 
 def _parse_loosely(path: Path, raw: bytes, names: list[str]) -> Columns | None:

@@ -1,4 +1,4 @@
-"""The same tables as Parquet files, for long drives; needs the extra `table` (pyarrow)."""
+"""The same tables as Parquet files, for long drives."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer, place
 from fgloc.datasets.csv_table import read_csv, write_csv
-from fgloc.errors import DriveError, InputError
+from fgloc.errors import DriveError
 
 
 def read_table(path: Path, layout: Layout) -> Columns:
@@ -24,12 +24,14 @@ def write_table(path: Path, columns: Mapping[str, ArrayLike]) -> None:
 
 def read_parquet(path: Path, layout: Layout) -> Columns:
     """The columns of a Parquet file, each (N,) with N >= 1; raises DriveError like `read_csv`."""
-    arrow, parquet = _pyarrow()
+    import pyarrow
+    from pyarrow import parquet
+
     try:
         table = parquet.read_table(path)
     except FileNotFoundError as err:
         raise DriveError(f"{path}: no such file") from err
-    except (OSError, arrow.ArrowException) as err:
+    except (OSError, pyarrow.ArrowException) as err:
         raise DriveError(f"{path}: not a readable Parquet file: {err}") from err
     check_header(str(path), table.column_names, layout)
     columns = {name: _column(path, name, table.column(name), layout) for name in table.column_names}
@@ -39,12 +41,14 @@ def read_parquet(path: Path, layout: Layout) -> Columns:
 
 def write_parquet(path: Path, columns: Mapping[str, ArrayLike]) -> None:
     """Write columns of one length under their names; int64 stamps, float64 everything else."""
-    arrow, parquet = _pyarrow()
+    import pyarrow
+    from pyarrow import parquet
+
     arrays = {
         name: np.asarray(values, np.int64 if is_integer(name) else np.float64)
         for name, values in columns.items()
     }
-    parquet.write_table(arrow.table(arrays), path)
+    parquet.write_table(pyarrow.table(arrays), path)
 
 
 def _column(path: Path, name: str, column: Any, layout: Layout) -> Any:
@@ -56,15 +60,3 @@ def _column(path: Path, name: str, column: Any, layout: Layout) -> Any:
     if values.dtype.kind not in kinds:
         raise DriveError(f"{path}: column {name} holds {column.type}, expected {want}")
     return values.astype(np.int64 if is_integer(name) else np.float64)
-
-
-def _pyarrow() -> tuple[Any, Any]:
-    """pyarrow and its Parquet part; InputError with the remedy where it is not installed."""
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as err:
-        raise InputError(
-            "Parquet tables need pyarrow: run pip install 'fgloc[table]', or use CSV"
-        ) from err
-    return pyarrow, pyarrow.parquet

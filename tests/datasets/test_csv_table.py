@@ -11,7 +11,7 @@ from fgloc.datasets import arrow_csv, csv_table
 from fgloc.datasets.columns import Group, Layout
 from fgloc.datasets.csv_table import format_csv, read_csv, write_csv
 from fgloc.datasets.parquet_table import read_table, write_table
-from fgloc.errors import DriveError, InputError
+from fgloc.errors import DriveError
 
 LAYOUT = Layout(
     (
@@ -69,6 +69,9 @@ def test_what_is_written_is_read_back_bit_for_bit(tmp_path_factory, table):
         assert again[name].dtype == values.dtype
         assert again[name].tobytes() == values.tobytes()
     assert format_csv(again) == path.read_text()
+    raw = path.read_bytes()
+    by_arrow = arrow_csv.parse(raw, raw.find(b"\n") + 1, list(columns))
+    assert all(by_arrow[name].tobytes() == values.tobytes() for name, values in columns.items())
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -98,32 +101,18 @@ def test_a_last_line_without_newline_is_taken_when_whole(csv):
     assert read_csv(csv(HEADER + "1,2,3\n4,5,6"), LAYOUT)["north_m"].tolist() == [3.0, 6.0]
 
 
-@pytest.mark.parametrize("at_once", [1, 7, 64, 1 << 20])
-@pytest.mark.parametrize("rows", [1, 3, 50])
-@pytest.mark.parametrize("end", ["", "\n", "\r\n"])
-def test_it_does_not_matter_in_what_portions_a_file_is_parsed(csv, monkeypatch, at_once, rows, end):
-    monkeypatch.setattr(csv_table, "_AT_ONCE", at_once)
-    monkeypatch.setattr(csv_table, "_parse_loosely", None)
-    lines = [f"{10**18 + k},{k},{-k / 7!r}" for k in range(rows)]
-    table = read_csv(csv(HEADER + (end or "\n").join(lines) + end), LAYOUT)
-    assert table["t_ns"].tolist() == [10**18 + k for k in range(rows)]
-    assert table["east_m"].tolist() == [float(k) for k in range(rows)]
-    assert table["north_m"].tolist() == [-k / 7 for k in range(rows)]
-
-
-@pytest.fixture(params=["arrow", "arrow, line by line", "json"])
-def large(request, monkeypatch):
-    """Every file counts as large; Arrow is installed or not, and takes all at once or not."""
-    monkeypatch.setattr(csv_table, "_LARGE", 0)
+@pytest.fixture(params=["numpy", "arrow", "arrow, line by line"])
+def parser(request, monkeypatch):
+    """Numpy reads as it does small files, or every file counts as large and Arrow reads it."""
+    if request.param != "numpy":
+        monkeypatch.setattr(csv_table, "_LARGE", 0)
     if request.param == "arrow, line by line":
         monkeypatch.setattr(arrow_csv, "AT_ONCE", 1)
-    if request.param == "json":
-        monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
 
 
-@pytest.mark.usefixtures("large")
+@pytest.mark.usefixtures("parser")
 @pytest.mark.parametrize("end", ["", "\n", "\r\n"])
-def test_a_large_file_is_read_bit_for_bit_with_arrow_and_without(csv, end):
+def test_each_parser_reads_bit_for_bit(csv, end):
     numbers = [0.1, -0.0, 5e-324, 1.7976931348623157e308, 2.2250738585072014e-308, 1 / 3, -1e22]
     stamps = [INT64.min, 2**53 + 1, 1_752_003_244_000_000_001, INT64.max, 0, -1, 7]
     lines = [f"{t},{x!r},{-x!r}" for t, x in zip(stamps, numbers, strict=True)]
@@ -133,7 +122,7 @@ def test_a_large_file_is_read_bit_for_bit_with_arrow_and_without(csv, end):
     assert table["north_m"].tobytes() == (-np.array(numbers)).tobytes()
 
 
-@pytest.mark.usefixtures("large")
+@pytest.mark.usefixtures("parser")
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
@@ -150,12 +139,13 @@ def test_a_large_file_is_read_bit_for_bit_with_arrow_and_without(csv, end):
         ("1,2,3\n\n4,5,6\n", "table.csv:3: the line is blank"),
     ],
 )
-def test_faults_of_a_large_file_are_told_alike_with_arrow_and_without(csv, rows, message):
+def test_faults_are_told_alike_by_each_parser(csv, rows, message):
     assert fault(csv(HEADER + rows)).startswith(message)
 
 
+@pytest.mark.usefixtures("parser")
 @pytest.mark.parametrize("cell", ["+1.5", ".5", "5.", "007", "1e400", "inf"])
-def test_numbers_that_json_does_not_know_are_read_by_numpy(csv, cell):
+def test_numbers_are_read_however_they_are_written(csv, cell):
     table = csv(HEADER + f"1,{cell},3\n4,5,6\n")
     if np.isfinite(float(cell)):
         assert read_csv(table, LAYOUT)["east_m"].tolist() == [float(cell), 5.0]
@@ -163,8 +153,9 @@ def test_numbers_that_json_does_not_know_are_read_by_numpy(csv, cell):
         assert fault(table).startswith("table.csv:2: east_m is inf")
 
 
-@pytest.mark.parametrize("cell", ["true", "null", "[1]", '"1"', "{}", "1 2", "-", "NaN1"])
-def test_what_json_takes_for_more_than_a_number_is_refused(csv, cell):
+@pytest.mark.usefixtures("parser")
+@pytest.mark.parametrize("cell", ["true", "null", "[1]", '"1"', "1 2", "-", "NaN1", "0x10", "1_0"])
+def test_what_is_no_number_is_refused(csv, cell):
     assert fault(csv(HEADER + f"1,2,3\n4,{cell},6\n")) == (
         f"table.csv:3: east_m = {cell!r} is not a number"
     )
@@ -285,9 +276,3 @@ def test_a_file_that_is_not_parquet_is_told(tmp_path):
     path.write_text(HEADER)
     with pytest.raises(DriveError, match="not a readable Parquet file"):
         read_table(path, LAYOUT)
-
-
-def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
-    with pytest.raises(InputError, match=r"pip install 'fgloc\[table\]'"):
-        write_table(tmp_path / "table.parquet", {"t_ns": [1]})
