@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fgloc.datasets.columns import Columns, is_integer
+from fgloc.datasets.columns import Columns, dtype_of
 from fgloc.parallel import each
 
 AT_ONCE = 1 << 24
@@ -53,7 +53,7 @@ def _of_whole_lines(raw: bytes, start: int) -> Iterator[slice]:
 def _strictly(csv: Any, names: list[str]) -> tuple[Any, Any, Any]:
     """Options: no quotes, nothing that stands for an empty cell, and types as we have them; in one
     thread, since others would keep the memory that they have had."""
-    types = {name: "int64" if is_integer(name) else "float64" for name in names}
+    types = {name: str(dtype_of(name)) for name in names}
     return (
         csv.ReadOptions(column_names=names, use_threads=False),
         csv.ParseOptions(quote_char=False, ignore_empty_lines=False),

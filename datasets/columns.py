@@ -67,6 +67,11 @@ def is_integer(name: str) -> bool:
     return name.endswith("_ns") or name in WHOLE
 
 
+def dtype_of(name: str) -> np.dtype[Any]:
+    """int64 or float64, whichever a column of this name holds."""
+    return np.dtype(np.int64 if is_integer(name) else np.float64)
+
+
 def place(path: Path, row: int) -> str:
     """Where a person finds row `row` (counted from 0): the line of a CSV, the row of a Parquet."""
     return f"{path}: row {row + 1}" if path.suffix == ".parquet" else f"{path}:{row + 2}"

@@ -17,7 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic_core import to_json
 
 from fgloc.datasets import arrow_csv
-from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer
+from fgloc.datasets.columns import (
+    Columns,
+    Layout,
+    check_header,
+    check_values,
+    dtype_of,
+    is_integer,
+)
 from fgloc.errors import DriveError
 from fgloc.files import read_filled
 from fgloc.parallel import portions
@@ -37,7 +44,7 @@ def read_csv(path: Path, layout: Layout) -> Columns:
     raw = read_filled(path, "; a line with column names is needed")
     names = _header(path, raw)
     check_header(f"{path}:1", names, layout)
-    columns = _parse_fast(path, raw, names)
+    columns = _parse_fast(raw, names)
     if columns is None:  # something is wrong or empty: find out what, cell by cell
         columns = _parse_slowly(path, raw, names, layout)
     check_values(path, columns, layout)
@@ -80,7 +87,7 @@ def format_rows(numbers: NDArray[Any]) -> list[bytes]:
 
 
 def _exact(name: str, values: ArrayLike) -> NDArray[Any]:
-    return np.asarray(values, np.int64 if is_integer(name) else np.float64)
+    return np.asarray(values, dtype_of(name))
 
 
 def _header(path: Path, raw: bytes) -> list[str]:
@@ -97,23 +104,23 @@ def _decode(path: Path, raw: bytes) -> str:
         ) from err
 
 
-def _parse_fast(path: Path, raw: bytes, names: list[str]) -> Columns | None:
+def _parse_fast(raw: bytes, names: list[str]) -> Columns | None:
     """All cells by Arrow if there are many, or by numpy; None where they are not all numbers."""
     start = raw.find(b"\n") + 1
     if start in (0, len(raw)):
         return None
     if len(raw) >= _LARGE and (columns := arrow_csv.parse(raw, start, names)) is not None:
         return columns
-    return _parse_loosely(path, raw, names)
+    return _parse_loosely(raw, names)
 
 
-def _parse_loosely(path: Path, raw: bytes, names: list[str]) -> Columns | None:
+def _parse_loosely(raw: bytes, names: list[str]) -> Columns | None:
     """All cells by numpy's parser."""
     lines = raw.count(b"\n") + (not raw.endswith(b"\n")) - 1
-    dtype = np.dtype([(name, np.int64 if is_integer(name) else np.float64) for name in names])
+    dtype = np.dtype([(name, dtype_of(name)) for name in names])
     try:
         table = np.loadtxt(
-            path, dtype, delimiter=",", skiprows=1, comments=None, encoding="utf-8", ndmin=1
+            BytesIO(raw), dtype, delimiter=",", skiprows=1, comments=None, encoding="utf-8", ndmin=1
         )
     except ValueError:
         return None

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fgloc.datasets.columns import Columns, Layout, check_header, check_values, is_integer, place
+from fgloc.datasets.columns import Columns, Layout, check_header, check_values, dtype_of, place
 from fgloc.datasets.csv_table import read_csv, write_csv
 from fgloc.errors import DriveError
 
@@ -44,10 +44,7 @@ def write_parquet(path: Path, columns: Mapping[str, ArrayLike]) -> None:
     import pyarrow
     from pyarrow import parquet
 
-    arrays = {
-        name: np.asarray(values, np.int64 if is_integer(name) else np.float64)
-        for name, values in columns.items()
-    }
+    arrays = {name: np.asarray(values, dtype_of(name)) for name, values in columns.items()}
     parquet.write_table(pyarrow.table(arrays), path)
 
 
@@ -56,7 +53,7 @@ def _column(path: Path, name: str, column: Any, layout: Layout) -> Any:
     if column.null_count and not layout.may_be_empty(name):
         row = int(np.argmax(np.asarray(column.is_null())))
         raise DriveError(f"{place(path, row)}: {name} is empty; a number is needed")
-    kinds, want = ("i", "int64") if is_integer(name) else ("fi", "float64")
-    if values.dtype.kind not in kinds:
+    want = dtype_of(name)
+    if values.dtype.kind not in {"i", want.kind}:
         raise DriveError(f"{path}: column {name} holds {column.type}, expected {want}")
-    return values.astype(np.int64 if is_integer(name) else np.float64)
+    return values.astype(want)

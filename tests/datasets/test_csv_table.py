@@ -101,6 +101,20 @@ def test_a_last_line_without_newline_is_taken_when_whole(csv):
     assert read_csv(csv(HEADER + "1,2,3\n4,5,6"), LAYOUT)["north_m"].tolist() == [3.0, 6.0]
 
 
+@pytest.mark.parametrize("at_once", [1, 7, 64, 1 << 20])
+@pytest.mark.parametrize("rows", [1, 3, 50])
+@pytest.mark.parametrize("end", ["", "\n", "\r\n"])
+def test_it_does_not_matter_in_what_portions_a_file_is_parsed(csv, monkeypatch, at_once, rows, end):
+    monkeypatch.setattr(csv_table, "_LARGE", 0)
+    monkeypatch.setattr(arrow_csv, "AT_ONCE", at_once)
+    monkeypatch.setattr(csv_table, "_parse_loosely", None)
+    lines = [f"{10**18 + k},{k},{-k / 7!r}" for k in range(rows)]
+    table = read_csv(csv(HEADER + (end or "\n").join(lines) + end), LAYOUT)
+    assert table["t_ns"].tolist() == [10**18 + k for k in range(rows)]
+    assert table["east_m"].tolist() == [float(k) for k in range(rows)]
+    assert table["north_m"].tolist() == [-k / 7 for k in range(rows)]
+
+
 @pytest.fixture(params=["numpy", "arrow", "arrow, line by line"])
 def parser(request, monkeypatch):
     """Numpy reads as it does small files, or every file counts as large and Arrow reads it."""
@@ -154,7 +168,9 @@ def test_numbers_are_read_however_they_are_written(csv, cell):
 
 
 @pytest.mark.usefixtures("parser")
-@pytest.mark.parametrize("cell", ["true", "null", "[1]", '"1"', "1 2", "-", "NaN1", "0x10", "1_0"])
+@pytest.mark.parametrize(
+    "cell", ["true", "null", "[1]", '"1"', "{}", "1 2", "-", "NaN1", "0x10", "1_0"]
+)
 def test_what_is_no_number_is_refused(csv, cell):
     assert fault(csv(HEADER + f"1,2,3\n4,{cell},6\n")) == (
         f"table.csv:3: east_m = {cell!r} is not a number"
